@@ -12,6 +12,7 @@ import functools
 import hashlib
 import logging
 import os
+import re
 import shutil
 import stat
 import sys
@@ -237,17 +238,32 @@ def _claim(file: Path | None) -> Iterator[bool]:
         os.close(descriptor)
 
 
-class KernelCache(FunctionCache):
-    """Cache of one kernel, with a lock so that one process compiles while others wait.
+def _lock(file: Path) -> int | None:
+    """Wait for the lock of a file and return its descriptor, which is closed to release it; None without a lock."""
+    try:
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError:  # full or removed disk: compile without a lock
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    except OSError:  # a file system without locks
+        os.close(descriptor)
+        return None
+    return descriptor
 
-    Unlike the cache of numba, it does not import everything that numba can compile, which takes 0.4 s of CPU time.
+
+class KernelCache(FunctionCache):
+    """Cache of one kernel, with a lock for each signature, so that one process compiles it while others wait.
+
+    Another lock is held while a kernel is stored, because all signatures share one index. Unlike the cache of numba,
+    this one does not import everything that numba can compile, which takes 0.4 s of CPU time.
     """
 
     _impl_class = _Implementation
 
     def __init__(self, py_func) -> None:
         super().__init__(py_func)
-        self._lock_file = Path(self._cache_path) / f"{self._impl.filename_base}.lock"
+        self._locks = Path(self._cache_path) / self._impl.filename_base
         self._locked: int | None = None
 
     def load_overload(self, sig, target_context):
@@ -255,23 +271,22 @@ class KernelCache(FunctionCache):
         rtsys.initialize(target_context)  # memory allocation for compiled code
         found = self._load_overload(sig, target_context)
         if found is None and self._locked is None:
-            self._lock()
+            named = re.sub(r" at 0x[0-9a-f]+", "", str(sig))  # addresses differ between processes
+            digest = hashlib.blake2b(named.encode(), digest_size=8).hexdigest()
+            self._locked = _lock(Path(f"{self._locks}-{digest}.lock"))
             found = self._load_overload(sig, target_context)  # stored while this process waited
             if found is not None:
                 self.release()
         return found
 
-    def _lock(self) -> None:
+    def save_overload(self, sig, data) -> None:
+        """Store a kernel and its entry in the index."""
+        locked = _lock(Path(f"{self._locks}.lock"))
         try:
-            descriptor = os.open(self._lock_file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        except OSError:  # full or removed disk: compile without a lock
-            return
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        except OSError:  # a file system without locks
-            os.close(descriptor)
-            return
-        self._locked = descriptor
+            super().save_overload(sig, data)
+        finally:
+            if locked is not None:
+                os.close(locked)
 
     def release(self) -> None:
         """Release the lock, so that other processes can load the kernel, or compile it if this one failed."""

@@ -74,6 +74,38 @@ def test_of_several_processes_one_compiles(package):
     assert sorted(result(run)[1] for run in runs) == [0, 0, 1]
 
 
+SUMS = """
+import sys
+import numpy as np
+from irodori.jit.compilation import njit
+
+@njit(cache=True)
+def summed(values):
+    total = values[0]
+    for value in values[1:]:
+        total += value
+    return total
+
+for kind in sys.argv[1].split(","):
+    assert summed(np.arange(1, 5).astype(kind)) == 10
+print(10.0, sum(summed.stats.cache_misses.values()))
+"""
+KINDS = ["float32", "float64", "int64", "uint8", "complex128"]
+
+
+def test_signatures_of_one_kernel_are_compiled_at_the_same_time_and_all_are_stored(tmp_path):
+    script = tmp_path / "summed.py"
+    script.write_text(SUMS)
+
+    def run(kinds: str) -> subprocess.Popen:
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kernels"), "PYTHONPATH": str(ROOT)}
+        return subprocess.Popen([sys.executable, str(script), kinds], env=environment, text=True,
+                                stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
+
+    assert [result(one)[1] for one in [run(kind) for kind in KINDS]] == [1] * len(KINDS)
+    assert result(run(",".join(KINDS)))[1] == 0
+
+
 HASHING = """
 from irodori.jit.compilation import njit
 

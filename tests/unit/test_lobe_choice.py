@@ -246,6 +246,7 @@ def test_the_report_shows_a_choice_and_no_table_without_one(figures, painted):
     errors |= {"compression": {}, "lobe_choice": [{**vars(one), "lobes": list(one.lobes)} for one in figures]}
     errors |= {"lobe_choice_painted": painted, "lobe_choice_favours_tails": painted == 0.25}
     errors["lobe_choice_misfit"] = 7.2 if painted == 0.75 else 1.0
+    errors["filter_level"] = {"ratio": 0.7, "error": 0.03, "paints": 9, "is_other": True} if painted else None
     shown = {"name": "jar", "errors": errors, "stored": "", "maps": "", "spectra": "", "bases": 3, "gloss": ""}
     shown["placement"] = "confirmed as typed: every camera angle" if figures else ""
     shown["mirror"], shown["angles"], errors["energy"] = 0.0, "0.09 deg by registration" if figures else "", {}
@@ -253,6 +254,7 @@ def test_the_report_shows_a_choice_and_no_table_without_one(figures, painted):
     assert ("of the compared texels" in page) == (bool(figures) and painted is not None)
     assert painted is None or (f"{painted:.0%} of the compared texels" in page) == bool(figures)
     assert ("long tails may be favoured" in page) == (bool(figures) and painted == 0.25)
+    assert ("through the filter are 0.70 times as bright" in page) == bool(painted)
     assert ("are off by\n7 of their stated errors" in page) == (bool(figures) and painted == 0.75)
     assert ("Standard errors of the angles: 0.09 deg by registration." in page) == bool(figures)
     assert ("Standard errors of the angles" in page) == bool(figures)
