@@ -101,7 +101,7 @@ def calibrate_camera(
         level = _level_beside_white(charts, training)
         if level.size:
             check_level(charts, level, settings.max_level_difference)
-        checks = _checks(charts, training, solved, lights) | {"level": level.tolist()} | {"likelier_charts": likelier}
+        checks = _checks(charts, training, solved, lights) | {"level": level.tolist(), "likelier_charts": likelier}
         checks |= {"response_model": _response_model(training.best_response)}
     calibration = replace(solved.calibration, light_error=lamp_error(light_name, light_error_percent))
     _write_calibration(output, calibration, errors, solved.numbers | checks, provenance)

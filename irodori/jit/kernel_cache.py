@@ -18,7 +18,6 @@ import stat
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import llvmlite
@@ -198,58 +197,56 @@ class _Implementation(CompileResultCacheImpl):
 
 
 def unclaimed_first(names: Iterable[str]) -> Iterator[str]:
-    """Yield the names of kernels, those first that no other process of this kind has before it.
+    """Yield the names of kernels, those last that another process has taken from this function.
 
     Processes that need the same kernels then compile different ones at the same time, and do not wait for each other
-    until none is left. A name is claimed until the next one is asked for, by a lock in the folder of kernels.
+    until none is left. A name is taken until the next one is asked for, by a lock in the folder of kernels.
     """
     remaining, folder = list(names), cache_folder()
     while remaining:
-        for name in remaining:
-            with _claim(None if folder is None else folder / f"{name}.claim") as is_mine:
-                if is_mine or name == remaining[-1]:
-                    # With all of them claimed the first is as good as any: another process is nearest to its end.
-                    taken = name if is_mine else remaining[0]
-                    remaining.remove(taken)
-                    yield taken
-                    break
-
-
-@contextmanager
-def _claim(file: Path | None) -> Iterator[bool]:
-    """Lock a file within the context; False if another process has it, True also where files cannot be locked."""
-    try:
-        descriptor = None if file is None else os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    except OSError:
-        descriptor = None
-    if descriptor is None:
-        yield True
-        return
-    try:
+        name, locked = _first_free(remaining, folder)
+        remaining.remove(name)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield name
+        finally:
+            _release(locked)
+
+
+def _first_free(names: list[str], folder: Path | None) -> tuple[str, int | None]:
+    """Return the first name that no other process has taken, and its lock; without such a name, the first one."""
+    for name in names:
+        try:
+            return name, None if folder is None else _lock(folder / f"{name}.claim", wait=False)
         except BlockingIOError:
-            yield False
-            return
-        except OSError:  # a file system without locks
-            pass
-        yield True
-    finally:
-        os.close(descriptor)
+            continue
+    return names[0], None
 
 
-def _lock(file: Path) -> int | None:
-    """Wait for the lock of a file and return its descriptor, which is closed to release it; None without a lock."""
+def _lock(file: Path, *, wait: bool = True) -> int | None:
+    """Lock a file and return the lock for `_release`; None where files cannot be made or locked.
+
+    Raises
+    ------
+    BlockingIOError
+        If another process has the lock and this one is not to wait.
+    """
     try:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    except OSError:  # full or removed disk: compile without a lock
+    except OSError:  # full or removed disk
         return None
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-    except OSError:  # a file system without locks
+        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
         os.close(descriptor)
-        return None
+        if isinstance(error, BlockingIOError):
+            raise
+        return None  # a file system without locks
     return descriptor
+
+
+def _release(locked: int | None) -> None:
+    if locked is not None:
+        os.close(locked)
 
 
 class KernelCache(FunctionCache):
@@ -285,11 +282,9 @@ class KernelCache(FunctionCache):
         try:
             super().save_overload(sig, data)
         finally:
-            if locked is not None:
-                os.close(locked)
+            _release(locked)
 
     def release(self) -> None:
         """Release the lock, so that other processes can load the kernel, or compile it if this one failed."""
-        if self._locked is not None:
-            os.close(self._locked)
-            self._locked = None
+        _release(self._locked)
+        self._locked = None

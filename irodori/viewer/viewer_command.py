@@ -58,17 +58,15 @@ def write_scene(name: str, output: Path | None) -> Path:
         If there is no such scene, or a result is missing.
     """
     from irodori.config.pages import page_rooms, page_views
+    from irodori.export.export_sources import result
     from irodori.viewer.stage import SceneSources, export_viewer
 
     loaded = load_definitions(read_yaml(_CONFIG) | {"make": {"scenes": [name]}}, Path())
     scene = loaded.scenes[name]
     files = [Path(f"results/{item.object}/material.h5") for item in scene.objects]
     lights = [Path(f"results/environments/{room}.h5") for room in page_rooms(scene)]
-    missing = next((file for file in [*files, *lights] if not file.is_file()), None)
-    if missing is not None:
-        raise InputError(
-            missing, "", "no file", f"what 'snakemake --cores 2 {missing}' makes, with its scene under make.scenes"
-        )
+    for file in (*files, *lights):
+        result(file)
     sources = SceneSources(
         name,
         scene,
