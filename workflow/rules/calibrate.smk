@@ -27,7 +27,7 @@ rule calibrate_camera:
     benchmark:
         "results/benchmarks/calibrate_camera/{camera}.tsv"
     # What every object waits for, and the longest jobs behind it, come first: no core is idle at the end.
-    priority: 30
+    priority: 60
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -58,7 +58,7 @@ rule calibrate_lens:
     benchmark:
         "results/benchmarks/calibrate_lens/{camera}.tsv"
     # The objects of the camera wait for it.
-    priority: 30
+    priority: 60
     conda:
         "../../envs/irodori.yaml"
     threads: 1

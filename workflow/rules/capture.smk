@@ -9,6 +9,9 @@ rule capture_object:
         "results/logs/capture_object/{object}.log",
     benchmark:
         "results/benchmarks/capture_object/{object}.tsv"
+    # Before it comes what all objects wait for (60); then a long picture (45), so that it is rendered beside the first
+    # registration (40): two of these would wait for each other's kernels.
+    priority: 50
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -38,7 +41,7 @@ rule capture_camera:
     benchmark:
         "results/benchmarks/capture_camera/{camera}.tsv"
     # What every object waits for, and the longest jobs behind it, come first: no core is idle at the end.
-    priority: 30
+    priority: 60
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -66,7 +69,7 @@ rule capture_environment:
         "results/logs/capture_environment/{environment}.log",
     benchmark:
         "results/benchmarks/capture_environment/{environment}.tsv"
-    priority: 30
+    priority: 60
     conda:
         "../../envs/irodori.yaml"
     threads: 1

@@ -8,7 +8,7 @@ rule prepare_environment:
         "results/logs/prepare_environment/{environment}.log",
     benchmark:
         "results/benchmarks/prepare_environment/{environment}.tsv"
-    priority: 30
+    priority: 60
     conda:
         "../../envs/irodori.yaml"
     # One core is free long before both are.

@@ -57,7 +57,7 @@ rule ingest_reference:
     benchmark:
         "results/benchmarks/ingest_reference/{camera}.tsv"
     # What every object waits for, and the longest jobs behind it, come first: no core is idle at the end.
-    priority: 30
+    priority: 60
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -83,7 +83,7 @@ rule ingest_chart:
         "results/logs/ingest_raw/cameras-{camera}_{capture}.log",
     benchmark:
         "results/benchmarks/ingest_raw/cameras-{camera}_{capture}.tsv"
-    priority: 30
+    priority: 60
     conda:
         "../../envs/irodori.yaml"
     # Captures are many: one core each does more of them than both on one.

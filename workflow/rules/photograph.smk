@@ -11,7 +11,7 @@ rule render_photographed:
     benchmark:
         "results/benchmarks/render_photographed/{scene}_{photograph}.tsv"
     # As of render_truth: one core is free early, and compiles what all later renderings need.
-    priority: 20
+    priority: 45
     conda:
         "../../envs/irodori.yaml"
     threads: 1

@@ -7,7 +7,7 @@ rule write_truth:
         "results/logs/write_truth/{object}.log",
     benchmark:
         "results/benchmarks/write_truth/{object}.tsv"
-    priority: 30
+    priority: 60
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -33,7 +33,7 @@ rule write_true_environment:
     benchmark:
         "results/benchmarks/write_true_environment/{environment}.tsv"
     # The photograph of the scene waits for it.
-    priority: 30
+    priority: 60
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -194,11 +194,11 @@ rule measure_error_budget:
         "results/logs/measure_error_budget/{scene}_{view}.log",
     benchmark:
         "results/benchmarks/measure_error_budget/{scene}_{view}.tsv"
-    # No stage waits for it, and the loops it shares with them are compiled by then.
-    priority: -10
+    # Beside the page, and before what takes less long.
+    priority: 2
     conda:
         "../../envs/irodori.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
