@@ -131,6 +131,7 @@ _TABLE = {
         "a lamp that drifts over a flat object": "no level is stated",
         "light angles off by up to 5 degrees": "their error is found within its stated error",
         "light angles of a surface that the lobe does not describe": "no contradiction is stated",
+        "paints under two lobes, sittings whose lamp and poses are off": "β, μ of both and α within their errors",
         "two lobes fitted as one": "not OK where the readings tell, else α right within the errors",
         "μ above its bound": "flagged at-bound",
         "1 % noise": "no dense scan finds a lower minimum; prediction within the noise",

@@ -436,13 +436,11 @@ class PhotographSets:
         """Return (first row, end row) of the texture tile in the wildcards."""
         return self.tiles_of(wildcards.object)[int(wildcards.tile)]
 
-    def shares_gloss(self, name: str) -> bool:
-        """Whether the texels of an object's paints share their gloss, so that one job fits all; not with two lobes."""
-        return self.loaded.config.fit.gloss_by_paint and len(self.loaded.objects[name].lobes) == 1
-
     def fitted_files(self, name: str) -> list[str]:
         """Return the files of an object's fit: one if its texels share the gloss of paints, otherwise its tiles."""
-        return [f"results/{name}/surface.h5"] if self.shares_gloss(name) else self.tile_files(name, "brdf")
+        return (
+            [f"results/{name}/surface.h5"] if self.loaded.config.fit.gloss_by_paint else self.tile_files(name, "brdf")
+        )
 
     def tile_files(self, name: str, kind: str) -> list[str]:
         """Return an object's tile files of a kind: ``observations``, or ``brdf`` for fits of single texels."""

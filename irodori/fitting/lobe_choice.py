@@ -5,9 +5,9 @@ The candidates are the lobe of equation (5), every other lobe, and sums of two, 
 without some of the photographs, which are then predicted. The errors of a photograph are common to all its texels, so
 photographs are left out as a whole, and only photographs count as independent. The choice is the simplest candidate
 with predictions within one standard error of the best (Breiman et al., *Classification and Regression Trees*, 1984;
-here the standard error of the difference between the two).
+here the standard error of the difference between the two, which of two nearly equal candidates is almost nothing).
 
-Each candidate is tried as it would be fitted: one lobe with the gloss of paints, a sum of two with that of each texel.
+Each candidate is tried as it would be fitted, with the gloss of paints.
 A texel of a round object hardly sees a peak twice. If the photograph that shows it is left out, the texel alone says
 nothing of the peak, and a lobe with long tails predicts it less badly, whatever the surface is.
 """
@@ -22,9 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
-from irodori.fitting.gloss_sums import pack
-from irodori.fitting.paint_gloss import separate_gloss
-from irodori.fitting.solvers import MAX_LOBES, FitOptions, FitResult, fit, problem_of
+from irodori.fitting.gloss_search import GlossSearch
+from irodori.fitting.solvers import MAX_LOBES, FitOptions, FitResult, fit
 from irodori.fitting.texel_sample import Readings
 from irodori.material.lobe_choices import Candidate, LeftOut
 from irodori.reflection.coat import SUM
@@ -33,10 +32,10 @@ from irodori.reflection.lobe_arrays import evaluate
 from irodori.reflection.registry import DEFAULT_LOBES, names
 
 MOST_TEXELS = 256  # for which readings are predicted, which takes about a millisecond of processor time for each
-_MOST_OF_PAINT = 256  # texels from which the gloss of a paint is found
+_MOST_OF_PAINT = 64  # texels from which the gloss of a paint is found
 ENOUGH_OBSERVATIONS = 8  # observations that a texel of the sample should have, to distinguish lobes
 _FOLDS = 8
-_LEAST_VARIANCE = 1e-8  # smallest variance, relative to the mean square response of a texel
+_NEGLIGIBLE = 0.01  # mean log(1 + z²) by which a candidate may be behind, though its standard error is smaller
 _NORMAL_MEDIAN = 0.6744897501960817  # median absolute value of a standard normal variable
 
 
@@ -120,7 +119,7 @@ def choose(
         LeftOut(one.lobes, deviation, float(gap), float(scatter), one.coat)
         for one, deviation, gap, scatter in zip(tried, deviations, mean - mean.min(), spread, strict=True)
     ]
-    chosen = next(one for one in found if one.behind <= one.behind_error or one.behind == 0.0)
+    chosen = next(one for one in found if one.behind <= max(one.behind_error, _NEGLIGIBLE))
     return Candidate(chosen.lobes, chosen.coat), found
 
 
@@ -139,48 +138,31 @@ def _deviation(errors: np.ndarray) -> float:
 def left_out_errors(sample: Readings, options: FitOptions, paints: Sequence[PaintedTexels] = ()) -> np.ndarray:
     """Return the error of each response predicted from other photographs, in expected standard deviations, (texels, J).
 
-    NaN where an observation has no weight. With one lobe, the texels of ``paints`` have the gloss that the other
-    photographs tell of their paint.
+    NaN where an observation has no weight. The texels of ``paints`` have the gloss that the other photographs tell of
+    their paint.
     """
     sample = replace(sample, coupled=options.is_coupled)
     weight, out = np.asarray(sample.weight), np.full(sample.response.shape, np.nan)
     fold = np.arange(weight.shape[1]) % min(_FOLDS, weight.shape[1])
+    coupled = options.is_coupled
+    searches = [(paint.texels, GlossSearch(replace(paint.readings, coupled=coupled), options)) for paint in paints]
     for number in range(fold.max(initial=-1) + 1):
         here = fold == number
         kept = np.where(here, 0.0, weight).astype(weight.dtype)
         result = fit(sample.response, sample.geometry, kept, sample.n, sample.k, options, noise=sample.noise)
-        if len(options.lobes) == 1:
-            result = replace(result, gloss=_with_paints(result.gloss, paints, here, options))
+        gloss = result.gloss.copy()
+        for texels, search in searches:
+            found = search.without(here)
+            if found is not None:
+                gloss[texels] = np.exp(found)
+        result = replace(result, gloss=gloss)
         expected = predicted(sample, result, replace(sample, weight=kept), options)
-        errors = (sample.response - expected) / np.sqrt(_variance(sample, np.fmax(expected, sample.response), options))
+        errors = (sample.response - expected) / np.sqrt(
+            sample.variance(np.fmax(expected, sample.response), options.model_error)
+        )
         held = here & (weight > 0.0) & np.isfinite(errors)
         out[held] = errors[held]
     return out
-
-
-def _with_paints(
-    gloss: np.ndarray, paints: Sequence[PaintedTexels], left_out: np.ndarray, options: FitOptions
-) -> np.ndarray:
-    """Return β and μ of texels, (texels, 2), with those of their paints where the other photographs tell them.
-
-    ``left_out`` is a mask of photographs, (J,).
-    """
-    gloss = gloss.copy()
-    for texels, seen in paints:
-        weight = np.where(left_out, 0.0, seen.weight).astype(seen.weight.dtype)
-        given = seen.response, seen.geometry, weight, seen.n, seen.k, options
-        found = separate_gloss(pack(*problem_of(*given, noise=seen.noise), sides=False), options.nodes())
-        if found is not None:
-            gloss[texels] = np.exp(found.log_gloss)
-    return gloss
-
-
-def _variance(sample: Readings, response: np.ndarray, options: FitOptions) -> np.ndarray:
-    """Return the variance of responses from camera noise and light; from light alone if the noise is unknown."""
-    noise = np.nan_to_num(sample.noise.astype(np.float64))
-    power = np.mean(np.where(sample.weight > 0.0, sample.response.astype(np.float64) ** 2, 0.0), axis=1)[:, None]
-    own = noise[:, 0] + noise[:, 1] * np.maximum(response, 0.0) + (options.model_error * response) ** 2
-    return own + _LEAST_VARIANCE * power + np.finfo(float).tiny
 
 
 def predicted(sample: Readings, result: FitResult, fitted: Readings, options: FitOptions) -> np.ndarray:
@@ -202,7 +184,7 @@ def predicted(sample: Readings, result: FitResult, fitted: Readings, options: Fi
     seen = fitted.weight > 0.0
     weight = np.where(seen, fitted.weight, 0.0)
     if options.weights == "noise" and np.isfinite(fitted.noise).all():
-        weight = weight / _variance(fitted, fitted.response, options)
+        weight = weight / fitted.variance(fitted.response, options.model_error)
     power = (weight * cosine**2).sum(axis=1)
     rest = np.where(seen, weight * cosine * (fitted.response - gloss), 0.0).sum(axis=1)
     alpha = rest / np.where(power > 0.0, power, 1.0)

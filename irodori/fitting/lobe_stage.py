@@ -67,9 +67,8 @@ def choose_lobes(
             paints[name] = painted(every, _paint_of(seen, every, own, fresnel), few)
     chosen, found = choose(sample, options, tried, paints)
     share = sum(len(paint.texels) for paint in paints.get(chosen.coat, ())) / max(len(few), 1)
-    is_single = any(len(one.lobes) == 1 for one in tried)
     favours_tails = share < _LEAST_PAINTED and len(chosen.lobes) == 1 and AUTO in lobes
-    compared = Comparison(tuple(found), share if is_single else None, favours_tails)
+    compared = Comparison(tuple(found), share if paints else None, favours_tails)
     write_choice(output, chosen, compared, len(few), provenance)
     for one in found:
         stated = (one.text, one.deviation, one.behind, one.behind_error)

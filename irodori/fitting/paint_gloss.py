@@ -107,7 +107,9 @@ class TexelGloss:
 
     Parameters
     ----------
-    alpha, beta, mu, alpha_error, beta_error, mu_error, residual_rms, relative_residual : (texels,) float64
+    alpha, alpha_error, residual_rms, relative_residual : (texels,) float64
+    gloss, gloss_error : (texels, 2 or 4) float64
+        β and μ of each component, and their standard errors.
     own : (texels,) float64
         Share of the information on the gloss that comes from the texel, 0 to 1; the rest comes from its paint.
     agrees : (texels,) bool
@@ -115,26 +117,44 @@ class TexelGloss:
     """
 
     alpha: np.ndarray
-    beta: np.ndarray
-    mu: np.ndarray
     alpha_error: np.ndarray
-    beta_error: np.ndarray
-    mu_error: np.ndarray
+    gloss: np.ndarray
+    gloss_error: np.ndarray
     residual_rms: np.ndarray
     relative_residual: np.ndarray
     own: np.ndarray
     agrees: np.ndarray
+
+    @property
+    def beta(self) -> np.ndarray:
+        """β of the first component, (texels,)."""
+        return self.gloss[:, 0]
+
+    @property
+    def mu(self) -> np.ndarray:
+        """μ of the first component, (texels,)."""
+        return self.gloss[:, 1]
+
+    @property
+    def beta_error(self) -> np.ndarray:
+        """Standard error of `beta`, (texels,)."""
+        return self.gloss_error[:, 0]
+
+    @property
+    def mu_error(self) -> np.ndarray:
+        """Standard error of `mu`, (texels,)."""
+        return self.gloss_error[:, 1]
 
     def __getitem__(self, chosen) -> "TexelGloss":
         """Return the parameters of selected texels; ``chosen`` is any NumPy index."""
         return TexelGloss(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
 
     @classmethod
-    def joined(cls, several: list["TexelGloss"]) -> "TexelGloss":
-        """Concatenate the texels of several instances."""
+    def joined(cls, several: list["TexelGloss"], components: int) -> "TexelGloss":
+        """Concatenate the texels of several instances, which have as many components of gloss."""
         if not several:
-            nothing = np.empty(0)
-            return cls(**{one.name: nothing for one in fields(cls)})
+            nothing, of_gloss = {one.name: np.empty(0) for one in fields(cls)}, np.empty((0, 2 * components))
+            return cls(**nothing | {"gloss": of_gloss, "gloss_error": of_gloss})
         names = [one.name for one in fields(cls)]
         return cls(**{name: np.concatenate([getattr(one, name) for one in several]) for name in names})
 
@@ -451,14 +471,12 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
         # A mixture of paints has neither's gloss: its residuals tell how far the parameters may be off.
         larger = np.where(agrees, 1.0, np.maximum(squares / free / gloss.excess, 1.0))
         variance, covariance = larger * variance, larger[:, None, None] * covariance
-        beta, mu = np.exp(own).T
+        values = np.exp(own)
         return TexelGloss(
             alpha=alpha,
-            beta=beta,
-            mu=mu,
             alpha_error=np.sqrt(variance + (rules.level_error * alpha) ** 2),
-            beta_error=beta * np.sqrt(covariance[:, 0, 0]),
-            mu_error=mu * np.sqrt(covariance[:, 1, 1]),
+            gloss=values,
+            gloss_error=values * np.sqrt(np.einsum("tii->ti", covariance)),
             residual_rms=np.sqrt(part[:, sums.SQUARES] / part[:, sums.TOTAL]),
             relative_residual=np.sqrt(part[:, sums.SQUARES] / part[:, sums.POWER]),
             own=1.0 - 0.5 * np.trace(kept, axis1=1, axis2=2),

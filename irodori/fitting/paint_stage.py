@@ -1,6 +1,5 @@
 """Paint stage: reads the fitted tiles of an object; writes its paints, and the fit with the gloss of the paints."""
 
-import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -16,7 +15,6 @@ from irodori.fitting.diffuse_response import GREEN, Observed, without_gloss
 from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH
 from irodori.fitting.mirror_image import MirrorImages, without_images
 from irodori.fitting.paint_colours import MOST_CORES, Colours, cores, find_colours, noise_floor
-from irodori.fitting.paint_gloss import PaintGloss
 from irodori.fitting.paints import (
     BELIEVED,
     GlossModel,
@@ -33,7 +31,7 @@ from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import CARRIED, FITTED_AXES, Model, fitted_maps, for_object, fresnel_of, read_observations
 from irodori.jit.chunks import parallel_map
 from irodori.material.fitted_tiles import SPEED
-from irodori.material.material_file import Status
+from irodori.material.material_file import Status, gloss_maps
 from irodori.material.observed_angles import read_texels
 from irodori.material.tile_strips import strips, texels_of
 from irodori.spectra.coordinates import require_bands, write_bands
@@ -163,23 +161,22 @@ def share_gloss(
     Notes
     -----
     A texel keeps the status OK if at least half of the information on its gloss is its own; otherwise it gets the
-    status PAINT. Texels that no paint explains keep their own fit. With two lobes, all texels do.
+    status PAINT. Texels that no paint explains keep their own fit.
 
-    With one lobe there are further datasets with one entry for each paint: ``/paints/log_gloss``, log β and log μ, NaN
-    if unknown; ``/paints/error``, the covariance of their errors; ``/paints/varying``, the covariance of the texels'
-    log β and log μ about them; ``/paints/scatter``, the covariance of what photographs tell about a texel's, beyond
-    noise; ``/paints/excess``, the factor on the variance of observations; ``/paints/texels``, the
-    number of texels in the fit. The attribute ``mirror_weight`` is a `MirrorWeight`; ``gloss_contradiction`` is what
+    There are further datasets with one entry for each paint: ``/paints/log_gloss``, log β and log μ of each component,
+    NaN if unknown; ``/paints/error``, the covariance of their errors; ``/paints/varying``, the covariance of the
+    texels' about them; with one lobe ``/paints/scatter``, the covariance of what photographs tell about a texel's,
+    beyond noise; ``/paints/excess``, the factor on the variance of observations; ``/paints/texels``, the number of
+    texels in the fit. The attribute ``mirror_weight`` is a `MirrorWeight`; ``gloss_contradiction`` is what
     `Contradiction.told` returns, or empty.
     """
     options = for_object(options, observations, levels)
     pieces, (attributes, bands) = _pieces(observations, tiles), _carried(tiles)
     width, height, start = attributes["width"], attributes["rows"][1], time.perf_counter()
     optics = GlossModel(options, fresnel_of(n, k, calibration, bands))
-    colours = _find_colours(pieces, width) if len(options.lobes) == 1 else None
+    colours = _find_colours(pieces, width)
 
     def sampled(piece: _Piece) -> Tile:
-        assert colours is not None
         maps = _read_maps(piece, ("status", *_RESPONSE))
         paint = by_colour(maps["diffuse_response"], maps["diffuse_variance"], colours)
         here, with_light = looked_at(len(paint), width, len(pieces)), np.zeros(len(paint), dtype=bool)
@@ -189,15 +186,13 @@ def share_gloss(
         texels = chosen + piece.texels.start
         return _tile(without_images(read_observations(piece.observations, levels, texels), options), maps, chosen)
 
-    paints = find_paints(list(parallel_map(sampled, pieces)), colours, optics) if colours else None
+    paints = find_paints(list(parallel_map(sampled, pieces)), colours, optics)
 
     def no_images() -> MirrorImages:
         return MirrorImages(options, optics.fresnel.n, optics.fresnel.k, GREEN)
 
     def shared_by(piece: _Piece) -> tuple[dict[str, np.ndarray], int, MirrorImages]:
         maps, images = _read_maps(piece, fitted_maps(options.lobes)), no_images()
-        if not paints:
-            return maps, 0, images
         own = _tile(read_observations(piece.observations, levels, piece.texels), maps)
         count = _share_tile(replace(own, observed=without_images(own.observed, options)), maps, paints, width, optics)
         images.add(own.observed, maps)
@@ -213,8 +208,7 @@ def share_gloss(
             datasets = datasets or _reserve(out, maps, height * width, options.lobes)
             for name, dataset in datasets.items():
                 dataset[piece.rows[0] * width : piece.rows[1] * width] = maps[name]
-        if paints:
-            _write_paints(out, paints)
+        _write_paints(out, paints, options.lobes)
         for name, value in {**attributes, "parts": [piece.rows for piece in pieces]}.items():
             out.attribute(name, value)
         out.attribute("paint_seconds", time.perf_counter() - start)
@@ -224,16 +218,13 @@ def share_gloss(
         out.attribute("angle_errors", options.angles.plain())
         out.attribute("mirror_weight", images.measured().plain())
         contradiction = {}
-        if paints and paints.contradiction:
+        if paints.contradiction:
             with store.open_file(observations[0]) as file:
                 contradiction = paints.contradiction.told(file.read("capture").astype(str).tolist())
         out.attribute("gloss_contradiction", contradiction)
-    if paints:
-        _log(paints, shared)
-        if contradiction:
-            LOGGER.warning(_WARNINGS[contradiction["left_out"]], contradiction["times"], contradiction["photograph"])
-    else:
-        LOGGER.info("two lobes: every texel keeps gloss of its own")
+    _log(paints, shared, options.lobes)
+    if contradiction:
+        LOGGER.warning(_WARNINGS[contradiction["left_out"]], contradiction["times"], contradiction["photograph"])
 
 
 def _reserve(out: store.Writer, maps: dict[str, np.ndarray], texels: int, lobes: tuple[str, ...]) -> dict:
@@ -252,20 +243,21 @@ def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: 
     """Write parameters with the gloss of the paints into the maps of a tile; return the number of such texels."""
     found = share_by_paint(tile, paints, width, optics)
     here, shared, options = found.texel, found.shared, optics.options
-    for name in ("alpha", "beta", "mu", "alpha_error", "beta_error", "mu_error", "residual_rms", "relative_residual"):
+    for name in ("alpha", "alpha_error", "residual_rms", "relative_residual"):
         maps[name][here] = getattr(shared, name)
+    for number, name in enumerate(gloss_maps(options.lobes)):
+        maps[name][here], maps[f"{name}_error"][here] = shared.gloss[:, number], shared.gloss_error[:, number]
     own = (maps["status"][here] == Status.OK) & (shared.own >= _OWN)
     maps["status"][here] = np.where(own, Status.OK, Status.PAINT)
     maps["model"][here] = Model.BOTH
     maps["paint"] = found.paint.astype(np.int16)
-    gloss = np.column_stack([shared.beta, shared.mu])
 
     def diffuse(piece: np.ndarray) -> None:
         texels = here[piece]
         some = tile[texels]
         maps["diffuse_response"][texels], maps["diffuse_variance"][texels] = without_gloss(
             some.observed,
-            gloss[piece],
+            shared.gloss[piece],
             options.lobes,
             optics.fresnel,
             model_error=options.model_error,
@@ -276,35 +268,40 @@ def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: 
     return len(here)
 
 
-def _write_paints(out: store.Writer, paints: Paints) -> None:
-    unknown = np.full((2, 2), np.nan)
-    nothing = PaintGloss(unknown[0], unknown, unknown, math.nan, 0, unknown)
-    gloss, pairs = [one or nothing for one in paints.gloss], "paint_number,parameter,other_parameter"
+def _write_paints(out: store.Writer, paints: Paints, lobes: tuple[str, ...]) -> None:
+    """Write the gloss of the paints, with one entry for each; NaN where it is not known."""
+    names = [f"log_{name}" for name in gloss_maps(lobes)]
+    count, pairs = len(names), "paint_number,parameter,other_parameter"
     out.coordinate(
-        "paint_number", np.arange(len(gloss)), units="1", quantity="number of the paint, as in the map paint"
+        "paint_number", np.arange(len(paints.gloss)), units="1", quantity="number of the paint, as in the map paint"
     )
     for axis in ("parameter", "other_parameter"):
-        out.coordinate(axis, ["log_beta", "log_mu"], units="1", quantity="parameter of the gloss")
-    for name, shape, dims, quantity in (
-        ("log_gloss", (2,), "paint_number,parameter", "logarithms of beta and mu"),
-        ("error", (2, 2), pairs, "their covariance"),
-        ("varying", (2, 2), pairs, "covariance of the texels' about them"),
-        ("scatter", (2, 2), pairs, "covariance of what a texel's photographs tell about them, beyond noise"),
-        ("excess", (), "paint_number", "factor of the variance of observations"),
-        ("texels", (), "paint_number", "texels that the gloss comes from"),
-    ):
-        values = np.array([getattr(one, name) for one in gloss], dtype=float).reshape(-1, *shape)
+        out.coordinate(axis, names, units="1", quantity="parameter of the gloss")
+    described: dict[str, tuple] = {
+        "log_gloss": ((count,), "paint_number,parameter", "logarithms of beta and mu"),
+        "error": ((count, count), pairs, "their covariance"),
+        "varying": ((count, count), pairs, "covariance of the texels' about them"),
+        "excess": ((), "paint_number", "factor of the variance of observations"),
+        "texels": ((), "paint_number", "texels that the gloss comes from"),
+    }
+    if len(lobes) == 1:
+        quantity = "covariance of what a texel's photographs tell about them, beyond noise"
+        described["scatter"] = ((count, count), pairs, quantity)
+    for name, (shape, dims, quantity) in described.items():
+        values = np.full((len(paints.gloss), *shape), 0.0 if name == "texels" else np.nan)
+        for number in paints.known:
+            values[number] = getattr(paints.gloss[number], name)
         out.write(f"paints/{name}", values, units="1", dims=dims, quantity=quantity)
 
 
-def _log(paints: Paints, shared: int) -> None:
+def _log(paints: Paints, shared: int, lobes: tuple[str, ...]) -> None:
     LOGGER.info("%d paints; %d texels have the gloss of one", len(paints.gloss), shared)
     for number, gloss in enumerate(paints.gloss):
         if gloss is None:
             LOGGER.info("paint %d: its texels do not determine a gloss", number)
         else:
-            (beta, mu), error = np.exp(gloss.log_gloss), np.sqrt(np.diag(gloss.error))
+            values, error = np.exp(gloss.log_gloss), np.sqrt(np.diag(gloss.error))
             varying = 100.0 * np.sqrt(np.diag(gloss.varying))
-            stated = (number, beta, beta * error[0], mu, mu * error[1], *varying, gloss.texels)
-            text = "paint %d: beta %.4g +- %.2g, mu %.4g +- %.2g, varying by %.1f and %.1f %%, from %d texels"
-            LOGGER.info(text, *stated)
+            stated = zip(gloss_maps(lobes), values, values * error, varying, strict=True)
+            text = ", ".join(f"{name} {v:.4g} +- {e:.2g} varying by {own:.1f} %" for name, v, e, own in stated)
+            LOGGER.info("paint %d: %s, from %d texels", number, text, gloss.texels)

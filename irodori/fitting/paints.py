@@ -8,7 +8,7 @@ colour of a texel.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +16,13 @@ import numpy as np
 from irodori.fitting import gloss_sums
 from irodori.fitting.band_fresnel import BandGloss
 from irodori.fitting.diffuse_response import GREEN, Observed, without_gloss
+from irodori.fitting.gloss_search import GlossSearch, PairGloss, share_pair
 from irodori.fitting.gloss_sums import SearchedTexels
 from irodori.fitting.joint_gloss import Contradiction, gloss_of_paints
 from irodori.fitting.paint_colours import NEAR, Colours
 from irodori.fitting.paint_gloss import PaintGloss, TexelGloss, share
 from irodori.fitting.solvers import FitOptions, problem_of
+from irodori.fitting.texel_sample import Readings
 from irodori.jit.chunks import Result, parallel_map
 from irodori.material.material_file import Status
 
@@ -43,14 +45,14 @@ class Paints:
     Parameters
     ----------
     colours : Colours
-    gloss : list of PaintGloss or None
-        Gloss of each paint; None if it shows none or does not determine it.
+    gloss : list of PaintGloss or PairGloss or None
+        Gloss of each paint; None if it shows none or does not determine it. A `PairGloss` under two lobes.
     contradiction : Contradiction or None
         Photographs that contradict the gloss of the paints.
     """
 
     colours: Colours
-    gloss: list[PaintGloss | None]
+    gloss: Sequence[PaintGloss | PairGloss | None]
     contradiction: Contradiction | None
 
     @property
@@ -100,8 +102,16 @@ class Tile:
         )  # fmt: skip
         return gloss_sums.pack(*problem, sides=sides)
 
+    def readings(self, optics: GlossModel, chosen=slice(None)) -> Readings:
+        """Return the observations of the green band; ``chosen`` is any NumPy index."""
+        fresnel, coupled = optics.fresnel, optics.options.is_coupled
+        return Readings.of_band(self.observed[chosen], GREEN, fresnel.n, fresnel.k, coupled)
+
     def under(self, log_gloss: np.ndarray, optics: GlossModel) -> tuple[np.ndarray, np.ndarray]:
-        """Return diffuse responses and their variances, (texels, bands) each, assuming a gloss (log β, log μ)."""
+        """Return diffuse responses and their variances, (texels, bands) each, assuming a gloss.
+
+        ``log_gloss`` is log β and log μ of each component.
+        """
         gloss = np.tile(np.exp(log_gloss), (len(self.status), 1))
         options = optics.options
         return without_gloss(
@@ -227,15 +237,29 @@ def find_paints(samples: list[Tile], colours: Colours, optics: GlossModel) -> Pa
 
 def _with_gloss(samples: list[Tile], labels: list[np.ndarray], colours: Colours, optics: GlossModel) -> Paints:
     """Return the paints with the gloss of the texels that are labelled with them."""
-    surfaces = []
+    paints = []
     for number in range(colours.count):
         total = sum(int((label == number).sum()) for label in labels)
         step = max(1, -(-total // MOST_TEXELS))
         parts = [tile[np.flatnonzero(label == number)[::step]] for tile, label in zip(samples, labels, strict=True)]
-        packed = [part.surface(optics) for part in parts if len(part.status)]
+        paints.append([part for part in parts if len(part.status)])
+    if len(optics.options.lobes) > 1:
+        return Paints(colours, list(parallel_map(functools.partial(_pair_of, optics=optics), paints)), None)
+    surfaces = []
+    for parts in paints:
+        packed = [part.surface(optics) for part in parts]
         blocks = np.concatenate([surface.blocks for surface in packed]) if packed else None
         surfaces.append(None if blocks is None else packed[0]._replace(blocks=blocks))
-    return Paints(colours, *gloss_of_paints(surfaces, optics.options.nodes()))
+    gloss, contradiction = gloss_of_paints(surfaces, optics.options.nodes())
+    return Paints(colours, gloss, contradiction)
+
+
+def _pair_of(parts: list[Tile], optics: GlossModel) -> PairGloss | None:
+    """Return the gloss of one paint under two lobes from its texels in all tiles."""
+    if not parts:
+        return None
+    readings = Readings.joined([part.readings(optics) for part in parts])
+    return GlossSearch(readings, optics.options).found()
 
 
 @dataclass(frozen=True)
@@ -257,7 +281,9 @@ class Painted:
     shared: TexelGloss
 
 
-def _share_piece(tile: Tile, gloss: PaintGloss, optics: GlossModel, texels: np.ndarray) -> TexelGloss:
+def _share_piece(tile: Tile, gloss: PaintGloss | PairGloss, optics: GlossModel, texels: np.ndarray) -> TexelGloss:
+    if isinstance(gloss, PairGloss):
+        return share_pair(tile.readings(optics, texels), gloss, optics.options)
     return share(tile.surface(optics, texels, sides=False), gloss)
 
 
@@ -284,11 +310,11 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -
         gloss, here = paints.gloss[number], np.flatnonzero(found.ravel() == number)
         assert gloss is not None
         pieces = in_pieces(functools.partial(_share_piece, tile, gloss, optics), here)
-        one = TexelGloss.joined(pieces)
+        one = TexelGloss.joined(pieces, len(optics.options.lobes))
         # A mixture may fit badly without having a gloss of its own.
         good = (one.agrees | mixed[here]) & (one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK))
         paint[here[good]] = number
         texels.append(here[good])
         columns.append(one[good])
-    shared = TexelGloss.joined(columns)
+    shared = TexelGloss.joined(columns, len(optics.options.lobes))
     return Painted(paint, np.concatenate([*texels, np.empty(0, dtype=int)]), shared)

@@ -1,5 +1,6 @@
 """Samples of an object's texels, for estimates that are made once for the whole object."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,8 @@ from irodori.fitting.diffuse_response import Observed
 from irodori.fitting.stage import read_observations
 from irodori.reflection.coat import diffuse_cosine
 
+_LEAST_VARIANCE = 1e-8  # smallest variance, relative to the mean square response of a texel
+_OF_TEXELS = ("response", "weight", "geometry")  # fields of `Readings` with an entry for each texel
 _MOST_TILES = 16  # evenly over the object: of ten million texels one tile in sixteen
 
 
@@ -43,10 +46,27 @@ class Readings:
         response, noise = observed.response[..., band], observed.noise[:, band]
         return cls(response, observed.weight, observed.geometry, noise, n, k, coupled)
 
+    @classmethod
+    def joined(cls, several: Sequence["Readings"]) -> "Readings":
+        """Return the observations of the texels of several instances, which have the same photographs."""
+        parts: dict = {name: np.concatenate([getattr(one, name) for one in several]) for name in _OF_TEXELS}
+        return replace(several[0], **parts)
+
     def __getitem__(self, texels) -> "Readings":
         """Return the observations of some texels; ``texels`` is any NumPy index."""
-        response, weight, geometry = self.response[texels], self.weight[texels], self.geometry[texels]
-        return replace(self, response=response, weight=weight, geometry=geometry)
+        parts: dict = {name: getattr(self, name)[texels] for name in _OF_TEXELS}
+        return replace(self, **parts)
+
+    def variance(self, response: np.ndarray, model_error: float) -> np.ndarray:
+        """Return the variance of responses from camera noise and light, (texels, J), in the band of these readings.
+
+        From light alone if the noise is unknown. ``model_error`` is the relative error apart from noise.
+        """
+        noise = np.nan_to_num(self.noise.astype(np.float64))
+        told = (self.weight > 0.0) & np.isfinite(self.response)
+        power = np.mean(np.where(told, self.response, 0.0).astype(np.float64) ** 2, axis=1)[:, None]
+        own = noise[:, 0] + noise[:, 1] * np.maximum(response, 0.0) + (model_error * response) ** 2
+        return own + _LEAST_VARIANCE * power + np.finfo(float).tiny
 
     def diffuse(self, geometry: np.ndarray) -> np.ndarray:
         """Return the diffuse term for α = 1 under any angles, (...) of (..., 4)."""

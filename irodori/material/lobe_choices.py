@@ -58,7 +58,7 @@ class Comparison(NamedTuple):
     """Candidates for the reflection model of an object."""
 
     candidates: tuple[LeftOut, ...] = ()  # the simplest first
-    painted: float | None = None  # share of the compared texels with the colour of a paint; None without single lobes
+    painted: float | None = None  # share of the compared texels with the colour of a paint; None without paints
     favours_tails: bool = False  # whether too few had: by single texels, lobes with long tails are favoured
 
     def misfit(self, lobes: Iterable[str], coat: str) -> float:

@@ -22,6 +22,7 @@ from irodori.fitting.texel_sample import Readings
 from irodori.geometry.rig_frame import rig_from_object, to_camera, to_light
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.lobe_choices import Candidate, LeftOut, chosen_model, read_choice
+from irodori.material.material_file import Status
 from irodori.reflection import registry
 from irodori.reflection.coat import diffuse_cosine
 from irodori.reflection.equation5 import angles_from_directions
@@ -149,6 +150,10 @@ def test_the_choice_of_an_object_is_one_for_its_tiles_and_is_kept(tmp_path):
     )
 
 
+#: Lobe, β and μ of a narrow highlight and a broad one, as under a coat of varnish.
+PAIR = (("gaussian", 2.0, 0.1), ("ggx", 1.5, 0.4))
+
+
 def round_object(lobe, beta, mu, seed, coat="sum", grain=0.0) -> Observed:
     """A sphere of two paints under sixteen poses, four of them opposite the lamp: texels see a peak once, if at all."""
     around, down = np.meshgrid((np.arange(64) + 0.5) / 32.0 * np.pi, (np.arange(SIDE) + 0.5) / SIDE * np.pi)
@@ -224,16 +229,53 @@ def test_a_lamp_that_fails_between_photographs_is_told_by_what_no_form_of_gloss_
         assert (misfit > 3.0) if name == "failing" else (misfit == 1.0)
 
 
-def test_two_lobes_that_were_chosen_keep_each_texels_own_gloss(tmp_path):
-    seen, options = ggx_sphere(), replace(OPTICS.options, lobes=("gaussian", "ggx"))
-    write_tile(tmp_path / "seen.h5", seen, [0, SIDE])
+def shared_and_own(seen: Observed, tmp_path, names) -> tuple[dict, dict]:
+    """Maps of a tile under two lobes, with the gloss of its paints and from the texels' own fits."""
+    options = replace(OPTICS.options, lobes=("gaussian", "ggx"))
+    rows = len(seen.response) // SIDE
+    write_tile(tmp_path / "seen.h5", seen, [0, rows])
     fit_brdf(tmp_path / "seen.h5", tmp_path / "own.h5", options, N, K, provenance=PROVENANCE)
     files = [tmp_path / "seen.h5"], [tmp_path / "own.h5"], tmp_path / "surface.h5"
     share_gloss(*files, options, N, K, provenance=PROVENANCE)
+    return tuple(next(FittedTiles([path], rows, SIDE).read(*names))[1] for path in (files[2], files[1][0]))
+
+
+def test_texels_of_a_surface_with_one_lobe_keep_their_own_gloss_under_two(tmp_path):
     names = ("alpha", "beta", "mu", "beta_2", "mu_2", "status", "paint")
-    own, shared = (next(FittedTiles([path], SIDE, SIDE).read(*names))[1] for path in (files[1][0], files[2]))
+    shared, own = shared_and_own(ggx_sphere(), tmp_path, names)
     for name in names:
         np.testing.assert_array_equal(own[name], shared[name])
+
+
+def varnished(seed=1) -> Observed:
+    """The round object with a narrow highlight of equation (5) over a broad one of GGX."""
+    broad, narrow = (round_object(lobe, (beta, beta), (mu, mu), seed) for lobe, beta, mu in PAIR)
+    bare = round_object("ggx", (0.0, 0.0), (0.1, 0.1), seed)
+    return replace(broad, response=broad.response + narrow.response - bare.response)
+
+
+def test_texels_under_two_lobes_have_the_gloss_of_their_paint(tmp_path):
+    names = ("beta", "mu", "beta_2", "mu_2", "beta_error", "mu_2_error", "status", "paint")
+    shared, own = shared_and_own(varnished(), tmp_path, names)
+    lit = (varnished().weight > 0.0).any(axis=1).reshape(shared["paint"].shape)
+    seen, told = shared["paint"] >= 0, np.isin(shared["status"], (Status.OK, Status.PAINT))
+    # Of the second paint no photograph shows the narrow highlight.
+    assert seen[lit].mean() > 0.35 and told[seen].all() and (own["status"] == Status.OK)[lit].mean() < 0.25
+    for name, truth, within in zip(names, (2.0, 0.1, 1.5, 0.4), (0.06, 0.06, 0.05, 0.05), strict=False):
+        assert np.median(np.abs(shared[name][seen] / truth - 1.0)) < within, name
+    assert np.isfinite(shared["beta_error"][seen]).all() and np.isfinite(shared["mu_2_error"][seen]).all()
+    with store.open_file(tmp_path / "surface.h5") as file:
+        assert file.read("parameter").astype(str).tolist() == ["log_beta", "log_mu", "log_beta_2", "log_mu_2"]
+        assert file.layout("paints/error").shape[1:] == (4, 4)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_two_lobes_of_a_round_object_are_told_by_its_paints(tmp_path, seed):
+    write_tile(tmp_path / "seen.h5", varnished(seed), [0, SIDE])
+    choose_lobes([tmp_path / "seen.h5"], tmp_path / "lobes.h5", FitOptions(), N, K, provenance=PROVENANCE)
+    found = read_choice([tmp_path / "lobes.h5"]).candidates
+    assert chosen_model(["auto"], "sum", [tmp_path / "lobes.h5"])["lobes"] == ("gaussian", "ggx")
+    assert all(one.behind > 2.0 * one.behind_error for one in found if len(one.lobes) == 1)
 
 
 @pytest.mark.parametrize("painted", [None, 0.25, 0.75])
