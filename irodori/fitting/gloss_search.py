@@ -28,6 +28,7 @@ _NORMAL_MEDIAN = 0.6744897501960817  # median absolute value of a standard norma
 _LEAST_PHOTOGRAPHS = 6  # photographs from which the jackknife tells errors of four parameters
 _SMALLEST = 1e-4  # β below which there is no component
 _REGULAR = 1e-6  # smallest determinant of two normalised lobes that can be separated
+_GROUPS = 8  # of photographs that are left out together in the search for a start
 _SIGNIFICANT = 1.0  # standard errors by which photographs prefer one minimum to another, as in the choice of lobes
 _ANGLE = 1e-4  # rad, by which φ is changed to see how a response changes with it
 _FIRST, _LEAST_VARYING = 0.1**2, 1e-8  # initial and smallest variance of the parameters of a paint's texels
@@ -169,7 +170,9 @@ class _Model:
             return self.projected(weight, self.slopes(x)[1]).reshape(len(x), -1).T
 
         inside = np.clip(start, self.limits[0] + 1e-6, self.limits[1] - 1e-6)
-        return least_squares(off, inside, slope, bounds=self.limits, x_scale="jac", max_nfev=_STEPS, xtol=1e-6).x
+        return least_squares(
+            off, inside, slope, bounds=self.limits, x_scale="jac", max_nfev=_STEPS, xtol=1e-4, ftol=1e-6
+        ).x
 
     def weights(self, log_gloss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return inverse variances of readings about a gloss, and the same without outliers, (texels, J) each."""
@@ -226,6 +229,8 @@ class GlossSearch:
     ----------
     log_gloss : (2,) or (4,) float64, or None
         log β and log μ of each component; None if the texels do not show them.
+    loss : float
+        Mean of log(1 + z²) over the readings; infinite without a gloss.
     is_ordered : bool
         Whether photographs tell which of two different lobes is the narrower one.
     """
@@ -241,6 +246,7 @@ class GlossSearch:
             minima.append((place, self._losses(place)))
         minima.sort(key=lambda one: one[1].mean())
         self.log_gloss: np.ndarray | None = None
+        self.loss = float(minima[0][1].mean()) if minima else np.inf
         self.is_ordered = len(minima) < 2 or _is_less(minima[0][1], minima[1][1])
         if minima:
             self.log_gloss = minima[0][0]
@@ -249,13 +255,13 @@ class GlossSearch:
     def _starts(self) -> list[np.ndarray]:
         """Return nodes that describe most readings, as `_Model.starts`.
 
-        They are looked for without each photograph in turn, because a bad one may mislead the sum of squares of all.
+        They are looked for without every eighth photograph in turn, because a bad one may mislead the sum of squares.
         The logarithm of 1 + z², by which they are compared, is little impressed by it.
         """
-        starts = self.model.starts(self.weight)
-        for photograph in np.flatnonzero(self.weight.any(axis=0)):
+        starts, used = self.model.starts(self.weight), np.flatnonzero(self.weight.any(axis=0))
+        for first in range(min(_GROUPS, len(used))):
             kept = self.weight.copy()
-            kept[:, photograph] = 0.0
+            kept[:, used[first::_GROUPS]] = 0.0
             starts += self.model.starts(kept)
         # The last μ is the only one, or that of the second lobe.
         orders = [[one for one in starts if (one[1] > one[-1]) == broader] for broader in (True, False)]
@@ -283,6 +289,7 @@ class GlossSearch:
     def _squares(self, log_gloss: np.ndarray, weight: np.ndarray) -> float:
         return float((self.model.projected(weight, self.model.response - self.model.gloss(log_gloss)) ** 2).sum())
 
+    @cached_property
     def found(self) -> PairGloss | None:
         """Return the gloss of the paint under two lobes; None if its texels do not show both or determine them."""
         model, place = self.model, self.log_gloss

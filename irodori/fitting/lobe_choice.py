@@ -14,10 +14,9 @@ nothing of the peak, and a lobe with long tails predicts it less badly, whatever
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
@@ -61,11 +60,48 @@ def candidates(
     return [Candidate(chosen, coat) for group in several_of for chosen in group for coat in coats]
 
 
-class PaintedTexels(NamedTuple):
-    """Texels of one paint: indices of those in a sample, and readings from which their common gloss is found."""
+@dataclass
+class PaintedTexels:
+    """Texels of one paint under one coat, and the search for their common gloss under any lobes.
+
+    Parameters
+    ----------
+    texels : (texels,) int
+        Indices of those in a sample.
+    readings : Readings
+        From which their common gloss is found.
+    """
 
     texels: np.ndarray
     readings: Readings
+    _searches: dict[tuple[str, ...], GlossSearch] = field(default_factory=dict)
+
+    def _search(self, lobes: tuple[str, ...], options: FitOptions) -> GlossSearch:
+        if lobes not in self._searches:
+            own = replace(options, lobes=lobes)
+            self._searches[lobes] = GlossSearch(replace(self.readings, coupled=options.is_coupled), own)
+        return self._searches[lobes]
+
+    def tells(self, options: FitOptions) -> bool:
+        """Return whether the texels tell all components of the options' lobes together."""
+        return len(options.lobes) == 1 or self._search(options.lobes, options).found is not None
+
+    def gloss(self, left_out: np.ndarray, options: FitOptions) -> np.ndarray | None:
+        """Return β and μ of each component that the other photographs tell, (2,) or (4,); None if they tell no gloss.
+
+        Of two lobes, only one has a weight if the texels do not tell both. A veil of stray light over single
+        photographs looks like a weak second lobe, too. ``left_out`` is a mask of photographs, (J,).
+        """
+        lobes = options.lobes
+        if self.tells(options):
+            found = self._search(lobes, options).without(left_out)
+            return None if found is None else np.exp(found)
+        one = min((self._search((name,), options) for name in lobes), key=lambda each: each.loss)
+        found = one.without(left_out)
+        if found is None:
+            return None
+        nothing, own = np.array([0.0, 1.0]), np.exp(found)
+        return np.concatenate([own, nothing] if one.model.options.lobes[0] == lobes[0] else [nothing, own])
 
 
 def painted(readings: Readings, paint: np.ndarray, sample: np.ndarray) -> list[PaintedTexels]:
@@ -88,6 +124,22 @@ def painted(readings: Readings, paint: np.ndarray, sample: np.ndarray) -> list[P
     return found
 
 
+def told_by(
+    paints: Mapping[str, Sequence[PaintedTexels]], options: FitOptions, tried: Iterable[Candidate]
+) -> list[Candidate]:
+    """Return the candidates without sums of two lobes that no paint tells; all of them if none is left.
+
+    Without paints, a sum of two is a matter of single texels. Parameters as in `choose`.
+    """
+    tried = list(tried)
+
+    def is_told(one: Candidate) -> bool:
+        seen, own = paints.get(one.coat, ()), replace(options, **one._asdict())
+        return not seen or any(paint.tells(own) for paint in seen)
+
+    return [one for one in tried if is_told(one)] or tried
+
+
 def choose(
     sample: Readings,
     options: FitOptions,
@@ -106,7 +158,7 @@ def choose(
     paints : mapping of str to sequence of PaintedTexels
         As in `left_out_errors`, by the coat under which their colours were found.
     """
-    tried = list(tried)
+    tried = told_by(paints, options, tried)
     errors = [left_out_errors(sample, replace(options, **one._asdict()), paints.get(one.coat, ())) for one in tried]
     deviations = [_deviation(error) for error in errors]
     scale = max(1.0, min((one for one in deviations if one > 0.0), default=1.0))
@@ -144,17 +196,15 @@ def left_out_errors(sample: Readings, options: FitOptions, paints: Sequence[Pain
     sample = replace(sample, coupled=options.is_coupled)
     weight, out = np.asarray(sample.weight), np.full(sample.response.shape, np.nan)
     fold = np.arange(weight.shape[1]) % min(_FOLDS, weight.shape[1])
-    coupled = options.is_coupled
-    searches = [(paint.texels, GlossSearch(replace(paint.readings, coupled=coupled), options)) for paint in paints]
     for number in range(fold.max(initial=-1) + 1):
         here = fold == number
         kept = np.where(here, 0.0, weight).astype(weight.dtype)
         result = fit(sample.response, sample.geometry, kept, sample.n, sample.k, options, noise=sample.noise)
         gloss = result.gloss.copy()
-        for texels, search in searches:
-            found = search.without(here)
+        for paint in paints:
+            found = paint.gloss(here, options)
             if found is not None:
-                gloss[texels] = np.exp(found)
+                gloss[paint.texels] = found
         result = replace(result, gloss=gloss)
         expected = predicted(sample, result, replace(sample, weight=kept), options)
         errors = (sample.response - expected) / np.sqrt(

@@ -10,7 +10,7 @@ from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.fitting.band_fresnel import BandGloss
 from irodori.fitting.diffuse_response import GREEN, Observed, diffuse_response
-from irodori.fitting.lobe_choice import ENOUGH_OBSERVATIONS, MOST_TEXELS, candidates, choose, painted
+from irodori.fitting.lobe_choice import ENOUGH_OBSERVATIONS, MOST_TEXELS, candidates, choose, painted, told_by
 from irodori.fitting.mirror_image import without_images
 from irodori.fitting.paint_colours import find_colours, noise_floor
 from irodori.fitting.paints import BELIEVED, by_colour
@@ -58,13 +58,15 @@ def choose_lobes(
     every = Readings.of_band(seen, GREEN, fresnel.n, fresnel.k)
     few = drawn(np.count_nonzero(every.weight > 0.0, axis=1), MOST_TEXELS, ENOUGH_OBSERVATIONS)
     sample, tried = every[few], candidates(options, None if AUTO in lobes else tuple(lobes), coats_of(coat))
-    _compile_fits(sample[:2], options, tried)
+    _compile_fits(sample[:2], options, [one for one in tried if len(one.lobes) == 1])
     paints = {}
     if options.gloss_by_paint:
         lobe = next((one.lobes for one in tried if len(one.lobes) == 1), DEFAULT_LOBES)
         for name in coats_of(coat):
             own = replace(options, lobes=lobe, coat=name, solver="varpro")
             paints[name] = painted(every, _paint_of(seen, every, own, fresnel), few)
+    tried = told_by(paints, options, tried)
+    _compile_fits(sample[:2], options, tried)
     chosen, found = choose(sample, options, tried, paints)
     share = sum(len(paint.texels) for paint in paints.get(chosen.coat, ())) / max(len(few), 1)
     favours_tails = share < _LEAST_PAINTED and len(chosen.lobes) == 1 and AUTO in lobes

@@ -259,7 +259,7 @@ def _pair_of(parts: list[Tile], optics: GlossModel) -> PairGloss | None:
     if not parts:
         return None
     readings = Readings.joined([part.readings(optics) for part in parts])
-    return GlossSearch(readings, optics.options).found()
+    return GlossSearch(readings, optics.options).found
 
 
 @dataclass(frozen=True)

@@ -120,12 +120,12 @@ def test_one_reading_is_enough_for_a_colour_under_two_lobes():
 @pytest.mark.parametrize("factor", [0.0, 0.3, 3.0])
 def test_one_bad_photograph_does_not_move_the_gloss_of_a_paint(factor):
     seen, _, _ = sitting(5)
-    whole = GlossSearch(readings(seen, halves() == 0), OPTIONS).found()
+    whole = GlossSearch(readings(seen, halves() == 0), OPTIONS).found
     response = seen.response.copy()
     response[:, 6] *= factor
     search = GlossSearch(readings(replace(seen, response=response), halves() == 0), OPTIONS)
     np.testing.assert_allclose(search.log_gloss, whole.log_gloss, atol=0.1)
-    found = search.found()  # without the photograph, the second lobe may be told no more
+    found = search.found  # without the photograph, the second lobe may be told no more
     if found is not None:
         assert (np.abs(found.log_gloss - np.log(GLOSS[0])) < 3.0 * np.sqrt(np.diag(found.error))).all()
 
@@ -136,25 +136,25 @@ def test_a_surface_with_one_lobe_has_no_second_one(lobe):
     colour = np.tile(VERMILION, (SIDE * SIDE, 1))
     for seed in range(4):
         seen = photographed(colour, gloss, sphere(), seed, (lobe, "ggx"))
-        assert GlossSearch(readings(seen, slice(None, None, 3)), OPTIONS).found() is None
+        assert GlossSearch(readings(seen, slice(None, None, 3)), OPTIONS).found is None
 
 
 def test_a_narrow_lobe_of_which_only_the_flank_is_seen_is_not_told():
     seen, _, _ = sitting(6)
     weight = seen.weight.copy()
     weight[seen.geometry[..., 3] < 1.8 * GLOSS[0, 1]] = 0.0
-    assert GlossSearch(readings(replace(seen, weight=weight), halves() == 0), OPTIONS).found() is None
+    assert GlossSearch(readings(replace(seen, weight=weight), halves() == 0), OPTIONS).found is None
 
 
 @pytest.mark.parametrize("poses", [1, 3, 5])
 def test_too_few_photographs_tell_no_two_lobes(poses):
     seen = photographed(np.tile(CREAM, (SIDE * SIDE, 1)), np.tile(GLOSS[0], (SIDE * SIDE, 1)), sphere(poses))
-    assert GlossSearch(readings(seen), OPTIONS).found() is None
+    assert GlossSearch(readings(seen), OPTIONS).found is None
 
 
 def test_texels_without_readings_have_no_colour_and_do_no_harm():
     seen, _, _ = sitting(7)
-    gloss = GlossSearch(readings(seen, halves() == 0), OPTIONS).found()
+    gloss = GlossSearch(readings(seen, halves() == 0), OPTIONS).found
     weight, response = seen.weight.copy(), seen.response.copy()
     weight[:5], response[3] = 0.0, np.nan
     dark = readings(replace(seen, weight=weight, response=response), slice(8))
@@ -163,7 +163,7 @@ def test_texels_without_readings_have_no_colour_and_do_no_harm():
     whole = share_pair(readings(seen, slice(8)), gloss, OPTIONS)
     np.testing.assert_allclose(found.alpha[5:], whole.alpha[5:], rtol=0.01)
     assert np.isfinite(found.alpha_error[5:]).all()
-    again = GlossSearch(dark, OPTIONS).found()
+    again = GlossSearch(dark, OPTIONS).found
     assert again is None or np.isfinite(again.log_gloss).all()
 
 
