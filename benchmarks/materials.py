@@ -314,7 +314,7 @@ def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
 def _off(sample: Readings, result: FitResult, fitted: Readings, options: FitOptions) -> tuple[float, float]:
     """Return the rms residual over the rms response, and the median of residual over response."""
     sample, fitted = (replace(one, coupled=options.is_coupled) for one in (sample, fitted))
-    off = predicted(sample, result, fitted, options) - sample.response
+    off = predicted(sample, result.gloss, fitted, options) - sample.response
     relative_rms = float(np.sqrt(np.mean(off**2) / np.mean(sample.response**2)))
     return relative_rms, float(np.median(np.abs(off) / np.maximum(sample.response, np.finfo(float).tiny)))
 

@@ -7,7 +7,7 @@ photographs are left out as a whole, and only photographs count as independent. 
 with predictions within one standard error of the best (Breiman et al., *Classification and Regression Trees*, 1984;
 here the standard error of the difference between the two, which of two nearly equal candidates is almost nothing).
 
-Each candidate is tried as it would be fitted, with the gloss of paints.
+Each candidate is tried as it would be fitted, with the gloss of paints, where at least half of the sample has one.
 A texel of a round object hardly sees a peak twice. If the photograph that shows it is left out, the texel alone says
 nothing of the peak, and a lobe with long tails predicts it less badly, whatever the surface is.
 """
@@ -22,7 +22,7 @@ import numpy as np
 
 from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
 from irodori.fitting.gloss_search import GlossSearch
-from irodori.fitting.solvers import MAX_LOBES, FitOptions, FitResult, fit
+from irodori.fitting.solvers import MAX_LOBES, FitOptions, fit
 from irodori.fitting.texel_sample import Readings
 from irodori.material.lobe_choices import Candidate, LeftOut
 from irodori.reflection.coat import SUM
@@ -190,63 +190,70 @@ def _deviation(errors: np.ndarray) -> float:
 def left_out_errors(sample: Readings, options: FitOptions, paints: Sequence[PaintedTexels] = ()) -> np.ndarray:
     """Return the error of each response predicted from other photographs, in expected standard deviations, (texels, J).
 
-    NaN where an observation has no weight. The texels of ``paints`` have the gloss that the other photographs tell of
-    their paint.
+    NaN where an observation has no weight. Texels have the gloss that the other photographs tell of their paint, none
+    if these tell none; without ``paints``, which have all texels of the sample, each has that of its own fit.
     """
     sample = replace(sample, coupled=options.is_coupled)
     weight, out = np.asarray(sample.weight), np.full(sample.response.shape, np.nan)
     fold = np.arange(weight.shape[1]) % min(_FOLDS, weight.shape[1])
     for number in range(fold.max(initial=-1) + 1):
         here = fold == number
-        kept = np.where(here, 0.0, weight).astype(weight.dtype)
-        result = fit(sample.response, sample.geometry, kept, sample.n, sample.k, options, noise=sample.noise)
-        gloss = result.gloss.copy()
-        for paint in paints:
-            found = paint.gloss(here, options)
-            if found is not None:
-                gloss[paint.texels] = found
-        result = replace(result, gloss=gloss)
-        expected = predicted(sample, result, replace(sample, weight=kept), options)
-        errors = (sample.response - expected) / np.sqrt(
-            sample.variance(np.fmax(expected, sample.response), options.model_error)
-        )
+        kept = replace(sample, weight=np.where(here, 0.0, weight).astype(weight.dtype))
+        gloss = _of_paints(len(weight), paints, here, options) if paints else _of_texels(kept, options)
+        expected = predicted(sample, gloss, kept, options)
+        variance = sample.variance(np.fmax(expected, sample.response), options.model_error)
+        errors = (sample.response - expected) / np.sqrt(variance)
         held = here & (weight > 0.0) & np.isfinite(errors)
         out[held] = errors[held]
     return out
 
 
-def predicted(sample: Readings, result: FitResult, fitted: Readings, options: FitOptions) -> np.ndarray:
-    """Predict responses, (texels, J), from the best gloss of a fit and the α that fits best with it.
+def _of_paints(count: int, paints: Sequence[PaintedTexels], left_out: np.ndarray, options: FitOptions) -> np.ndarray:
+    """Return β and μ of texels by their paints, (texels, 2 or 4)."""
+    gloss = np.tile([0.0, 1.0], (count, len(options.lobes)))
+    for paint in paints:
+        found = paint.gloss(left_out, options)
+        if found is not None:
+            gloss[paint.texels] = found
+    return gloss
 
-    The best values are used also where the fit states none.
+
+def _of_texels(sample: Readings, options: FitOptions) -> np.ndarray:
+    """Return β and μ of texels that explain their readings best, (texels, 2 or 4)."""
+    return fit(sample.response, sample.geometry, sample.weight, sample.n, sample.k, options, noise=sample.noise).gloss
+
+
+def predicted(sample: Readings, gloss: np.ndarray, fitted: Readings, options: FitOptions) -> np.ndarray:
+    """Predict responses, (texels, J), from the gloss of texels and the α that fits best with it.
 
     Parameters
     ----------
     sample : Readings
         Geometry of the responses to predict.
-    result : FitResult
+    gloss : (texels, 2 or 4) float64
+        β and μ of each component.
     fitted : Readings
         Observations that were fitted, of the same texels.
     options : FitOptions
         Options of the fit.
     """
-    cosine, gloss = _terms(fitted, result)
+    cosine, shine = _terms(fitted, gloss, options.lobes)
     seen = fitted.weight > 0.0
     weight = np.where(seen, fitted.weight, 0.0)
     if options.weights == "noise" and np.isfinite(fitted.noise).all():
         weight = weight / fitted.variance(fitted.response, options.model_error)
     power = (weight * cosine**2).sum(axis=1)
-    rest = np.where(seen, weight * cosine * (fitted.response - gloss), 0.0).sum(axis=1)
+    rest = np.where(seen, weight * cosine * (fitted.response - shine), 0.0).sum(axis=1)
     alpha = rest / np.where(power > 0.0, power, 1.0)
-    cosine, gloss = _terms(sample, result)
-    return np.clip(alpha, *options.limits("alpha"))[:, None] * cosine + gloss
+    cosine, shine = _terms(sample, gloss, options.lobes)
+    return np.clip(alpha, *options.limits("alpha"))[:, None] * cosine + shine
 
 
-def _terms(sample: Readings, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
-    """Return the diffuse term for α = 1 and the gloss of a fit, (texels, J) each."""
+def _terms(sample: Readings, gloss: np.ndarray, lobes: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the diffuse term for α = 1 and the gloss, (texels, J) each."""
     angles = sample.geometry.astype(np.float64)
-    gloss = np.zeros(angles.shape[:2])
-    for component, name in enumerate(result.lobes):
-        beta, mu = result.gloss[:, 2 * component, None], result.gloss[:, 2 * component + 1, None]
-        gloss += beta * evaluate(name, mu, angles)
-    return sample.diffuse(angles), gloss * fresnel_array(np.cos(angles[..., 2]), sample.n, sample.k)
+    shine = np.zeros(angles.shape[:2])
+    for component, name in enumerate(lobes):
+        beta, mu = gloss[:, 2 * component, None], gloss[:, 2 * component + 1, None]
+        shine += beta * evaluate(name, mu, angles)
+    return sample.diffuse(angles), shine * fresnel_array(np.cos(angles[..., 2]), sample.n, sample.k)

@@ -1,6 +1,5 @@
 """Stage that chooses lobes and coat of an object from its observations, and writes the comparison behind the choice."""
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -10,15 +9,14 @@ from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.fitting.band_fresnel import BandGloss
 from irodori.fitting.diffuse_response import GREEN, Observed, diffuse_response
-from irodori.fitting.lobe_choice import ENOUGH_OBSERVATIONS, MOST_TEXELS, candidates, choose, painted, told_by
+from irodori.fitting.lobe_choice import ENOUGH_OBSERVATIONS, MOST_TEXELS, candidates, choose, painted
 from irodori.fitting.mirror_image import without_images
 from irodori.fitting.paint_colours import find_colours, noise_floor
 from irodori.fitting.paints import BELIEVED, by_colour
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.fitting.stage import for_object, fresnel_of
 from irodori.fitting.texel_sample import Readings, drawn, sample_texels
-from irodori.jit.kernel_cache import unclaimed_first
-from irodori.material.lobe_choices import Candidate, Comparison, model_text, write_choice
+from irodori.material.lobe_choices import Comparison, model_text, write_choice
 from irodori.reflection.coat import COATS, SUM
 from irodori.reflection.registry import DEFAULT_LOBES
 
@@ -57,26 +55,28 @@ def choose_lobes(
     seen = without_images(sample_texels(observations, _MOST_SEEN, _ENOUGH_FOR_PAINT), options)
     every = Readings.of_band(seen, GREEN, fresnel.n, fresnel.k)
     few = drawn(np.count_nonzero(every.weight > 0.0, axis=1), MOST_TEXELS, ENOUGH_OBSERVATIONS)
-    sample, tried = every[few], candidates(options, None if AUTO in lobes else tuple(lobes), coats_of(coat))
-    _compile_fits(sample[:2], options, [one for one in tried if len(one.lobes) == 1])
-    paints = {}
+    tried, coats = candidates(options, None if AUTO in lobes else tuple(lobes), coats_of(coat)), coats_of(coat)
+    paint_of, share = {}, None
     if options.gloss_by_paint:
         lobe = next((one.lobes for one in tried if len(one.lobes) == 1), DEFAULT_LOBES)
-        for name in coats_of(coat):
+        for name in coats:
             own = replace(options, lobes=lobe, coat=name, solver="varpro")
-            paints[name] = painted(every, _paint_of(seen, every, own, fresnel), few)
-    tried = told_by(paints, options, tried)
-    _compile_fits(sample[:2], options, tried)
+            paint_of[name] = _paint_of(seen, every, own, fresnel)
+        with_paint = np.all([paint[few] >= 0 for paint in paint_of.values()], axis=0)
+        share = float(with_paint.mean()) if len(few) else 0.0
+        few = few[with_paint] if share >= _LEAST_PAINTED else few
+    by_paint = share is not None and share >= _LEAST_PAINTED
+    paints = {name: painted(every, paint, few) for name, paint in paint_of.items()} if by_paint else {}
+    sample = every[few]
     chosen, found = choose(sample, options, tried, paints)
-    share = sum(len(paint.texels) for paint in paints.get(chosen.coat, ())) / max(len(few), 1)
-    favours_tails = share < _LEAST_PAINTED and len(chosen.lobes) == 1 and AUTO in lobes
-    compared = Comparison(tuple(found), share if paints else None, favours_tails)
+    favours_tails = share is not None and not by_paint and len(chosen.lobes) == 1 and AUTO in lobes
+    compared = Comparison(tuple(found), share, favours_tails, sample.response.shape[1] >= ENOUGH_OBSERVATIONS)
     write_choice(output, chosen, compared, len(few), provenance)
     for one in found:
         stated = (one.text, one.deviation, one.behind, one.behind_error)
         LOGGER.info("%s: left-out readings off by %.2f stated errors; behind the best by %.3f +- %.3f", *stated)
-    said = *sample.response.shape, len(paints.get(chosen.coat, ())), 100.0 * share, model_text(*chosen)
-    LOGGER.info("model from %d texels of %d photographs, %d paints on %.0f %% of them: %s", *said)
+    said = *sample.response.shape, len(paints.get(chosen.coat, ())), 100.0 * (share or 0.0), model_text(*chosen)
+    LOGGER.info("model from %d texels of %d photographs and %d paints, which %.0f %% had: %s", *said)
     if (times := compared.misfit(*chosen)) > 1.0:
         LOGGER.warning(_MISFIT, times)
     if favours_tails:
@@ -86,17 +86,6 @@ def choose_lobes(
 def coats_of(coat: str) -> tuple[str, ...]:
     """Return the coats that an object's definition leaves open, or the one that it names."""
     return COATS if coat == AUTO else (coat,)
-
-
-def _compile_fits(two: Readings, options: FitOptions, tried: Iterable[Candidate]) -> None:
-    """Fit two texels with the lobes of every candidate, those last that the job of another object is compiling.
-
-    Without this, the jobs of a first run wait for each other at every fit. One texel would be of shared geometry.
-    """
-    by_name = {"-".join(("fit", *candidate.lobes)): candidate.lobes for candidate in tried}
-    for name in unclaimed_first(by_name):
-        own = replace(options, lobes=by_name[name])
-        fit(two.response, two.geometry, two.weight, two.n, two.k, own, noise=two.noise)
 
 
 def _paint_of(seen: Observed, green: Readings, options: FitOptions, fresnel: BandGloss) -> np.ndarray:

@@ -17,7 +17,6 @@ import shutil
 import stat
 import sys
 import time
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import llvmlite
@@ -196,50 +195,16 @@ class _Implementation(CompileResultCacheImpl):
         return super().rebuild(target_context, payload)
 
 
-def unclaimed_first(names: Iterable[str]) -> Iterator[str]:
-    """Yield the names of kernels, those last that another process has taken from this function.
-
-    Processes that need the same kernels then compile different ones at the same time, and do not wait for each other
-    until none is left. A name is taken until the next one is asked for, by a lock in the folder of kernels.
-    """
-    remaining, folder = list(names), cache_folder()
-    while remaining:
-        name, locked = _first_free(remaining, folder)
-        remaining.remove(name)
-        try:
-            yield name
-        finally:
-            _release(locked)
-
-
-def _first_free(names: list[str], folder: Path | None) -> tuple[str, int | None]:
-    """Return the first name that no other process has taken, and its lock; without such a name, the first one."""
-    for name in names:
-        try:
-            return name, None if folder is None else _lock(folder / f"{name}.claim", wait=False)
-        except BlockingIOError:
-            continue
-    return names[0], None
-
-
-def _lock(file: Path, *, wait: bool = True) -> int | None:
-    """Lock a file and return the lock for `_release`; None where files cannot be made or locked.
-
-    Raises
-    ------
-    BlockingIOError
-        If another process has the lock and this one is not to wait.
-    """
+def _lock(file: Path) -> int | None:
+    """Lock a file and return the lock for `_release`; None where files cannot be made or locked."""
     try:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError:  # full or removed disk
         return None
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    except OSError:
         os.close(descriptor)
-        if isinstance(error, BlockingIOError):
-            raise
         return None  # a file system without locks
     return descriptor
 

@@ -60,11 +60,12 @@ class Comparison(NamedTuple):
     candidates: tuple[LeftOut, ...] = ()  # the simplest first
     painted: float | None = None  # share of the compared texels with the colour of a paint; None without paints
     favours_tails: bool = False  # whether too few had: by single texels, lobes with long tails are favoured
+    tells_misfit: bool = True  # whether there are photographs enough: of three, two do not tell the gloss of the third
 
     def misfit(self, lobes: Iterable[str], coat: str) -> float:
         """Return by how many stated errors a candidate predicts left-out readings wrongly; 1 up to `CONTRADICTED`."""
         of = [one.deviation for one in self.candidates if (one.lobes, one.coat) == (tuple(lobes), coat)]
-        return of[0] if of and of[0] > CONTRADICTED else 1.0
+        return of[0] if self.tells_misfit and of and of[0] > CONTRADICTED else 1.0
 
 
 #: That of an object whose definition names lobes and coat.
@@ -109,7 +110,7 @@ def write_choice(
             out.write(name, values, units="1", dims="candidate", quantity=quantity)
         tried = {"candidates": [list(one.lobes) for one in found], "coats": [one.coat for one in found]}
         attributes = {"lobes": list(chosen.lobes), "coat": chosen.coat, **tried, "texels": texels}
-        attributes["favours_tails"] = compared.favours_tails
+        attributes |= {"favours_tails": compared.favours_tails, "tells_misfit": compared.tells_misfit}
         if compared.painted is not None:
             attributes["painted"] = compared.painted
         for name, value in attributes.items():
@@ -146,9 +147,9 @@ def read_choice(choices: list) -> Comparison:
         tried, coats = file.attribute("candidates", list), file.attribute("coats", list)
         figures = np.transpose([file.read(name) for name in _FIGURES])
         painted = file.attribute("painted", float) if file.has_attribute("painted") else None
-        favours_tails = file.attribute("favours_tails", bool)
+        favours_tails, tells_misfit = (file.attribute(name, bool) for name in ("favours_tails", "tells_misfit"))
     found = [
         LeftOut(tuple(lobes), float(row[0]), float(row[1]), float(row[2]), coat)
         for lobes, coat, row in zip(tried, coats, figures, strict=True)
     ]
-    return Comparison(tuple(found), painted, favours_tails)
+    return Comparison(tuple(found), painted, favours_tails, tells_misfit)

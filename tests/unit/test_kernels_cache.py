@@ -10,8 +10,7 @@ import patience
 import pytest
 
 from irodori.core.parsed_sources import parsed
-from irodori.jit import kernel_cache
-from irodori.jit.kernel_cache import closure_hash, is_private, prune, unclaimed_first
+from irodori.jit.kernel_cache import closure_hash, is_private, prune
 
 ROOT = Path(__file__).resolve().parents[2]
 PROBE = """
@@ -116,23 +115,6 @@ def hashed(text):
 assert hashed("vermilion") == hash("vermilion")
 print(sum(hashed.stats.cache_misses.values()))
 """
-
-
-def test_processes_that_need_the_same_kernels_take_different_ones_first(tmp_path, monkeypatch):
-    monkeypatch.setattr(kernel_cache, "cache_folder", lambda: tmp_path)
-    one = unclaimed_first(["a", "b", "c"])
-    assert next(one) == "a"
-    other = unclaimed_first(["a", "b", "c"])
-    assert [next(other), next(other), next(other)] == ["b", "c", "a"]  # and waits for the first, as all need all
-    assert list(one) == ["b", "c"]  # what another has compiled is loaded
-    assert list(other) == [] and list(unclaimed_first(["a", "b"])) == ["a", "b"]
-
-
-@pytest.mark.parametrize("folder", [None, Path("/proc/none")])
-def test_without_a_folder_for_locks_kernels_keep_their_order(monkeypatch, folder):
-    monkeypatch.setattr(kernel_cache, "cache_folder", lambda: folder)
-    one, other = unclaimed_first(["a", "b"]), unclaimed_first(["a", "b"])
-    assert [*one, *other] == ["a", "b", "a", "b"]
 
 
 @pytest.mark.heavy

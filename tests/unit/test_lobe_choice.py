@@ -203,7 +203,7 @@ def test_the_lobe_of_a_round_object_is_told_by_its_paints_though_a_texel_hardly_
     others = [one for one in read_choice([choice]).candidates if one.lobes == (wrong,)]
     assert len(others) == 2 and all(one.behind > 2.0 * one.behind_error for one in others)
     with store.open_file(choice) as file:
-        assert file.attribute("painted", float) > 0.9
+        assert file.attribute("painted", float) > 0.75  # under both coats
 
 
 def test_without_paints_the_choice_says_on_what_it_rests(tmp_path, caplog):
@@ -229,6 +229,18 @@ def test_a_lamp_that_fails_between_photographs_is_told_by_what_no_form_of_gloss_
         misfit = choice.misfit(**chosen_model(["auto"], "sum", [tmp_path / name]))
         assert ("no form of gloss predicts left-out readings" in caplog.text) == (name == "failing")
         assert (misfit > 3.0) if name == "failing" else (misfit == 1.0)
+
+
+@pytest.mark.parametrize(("beta", "mu"), [(2.0, 0.15), (6.0, 0.08)])
+def test_three_photographs_of_a_sound_object_contradict_no_form_of_gloss(tmp_path, caplog, beta, mu):
+    """Two of them do not tell what the third shows."""
+    seen = photographed(np.tile(VERMILION, (SIDE * SIDE, 1)), beta, mu, sphere(3))
+    write_tile(tmp_path / "seen.h5", seen, [0, SIDE])
+    with caplog.at_level("WARNING"):
+        choose_lobes([tmp_path / "seen.h5"], tmp_path / "lobes.h5", FitOptions(), N, K, provenance=PROVENANCE)
+    assert "no form of gloss predicts" not in caplog.text
+    model = chosen_model(["auto"], "sum", [tmp_path / "lobes.h5"])
+    assert read_choice([tmp_path / "lobes.h5"]).misfit(**model) == 1.0
 
 
 def shared_and_own(seen: Observed, tmp_path, names) -> tuple[dict, dict]:
