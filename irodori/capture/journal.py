@@ -21,6 +21,7 @@ _HEADER = ",".join(_NAMES) + "\n"
 #: Columns that identify a photograph; the others describe its capture. Tables of earlier versions have only these.
 _FIRST_NAMES = (*COLUMNS, "iso", "f_number", "sha256")
 _HEADERS = (_HEADER, ",".join(_FIRST_NAMES) + "\n")
+_HASH_DIGITS = 64  # of a SHA-256 in hexadecimal
 #: Table of photographs that a changed plan no longer requires; their files are kept.
 RETIRED = "captures-retired.csv"
 
@@ -147,9 +148,9 @@ class Journal:
     Parameters
     ----------
     table : path
-        ``captures.csv``. An existing table is continued: an incomplete line left by a crash is removed, and so is the
-        line of a file that is missing or has changed, so that the photograph is taken again. A changed file is renamed
-        and not deleted. Lines without a hash, written by a person, are kept until `retire`.
+        ``captures.csv``. An existing table is continued: an incomplete last line left by a crash is removed, and so is
+        the line of a file that is missing or has changed, so that the photograph is taken again; each is logged. A
+        changed file is renamed and not deleted. Lines without a hash, written by a person, are kept until `retire`.
     folder : path, optional
         Folder of the RAW files; by default that of the table.
 
@@ -186,8 +187,7 @@ class Journal:
             self._rewrite()
             return
         if whole != content:
-            with storing(self.table):
-                os.truncate(self.table, len(whole))
+            whole = self._end_last_line(whole, content[len(whole) :], first[0])
         if not whole.partition(b"\n")[2].strip():
             if _HEADER not in known:
                 self._rewrite()
@@ -207,6 +207,19 @@ class Journal:
                 self.shots[shot.file], self.sha256[shot.file] = shot, digests[shot.file]
         if len(self.shots) + len(self._unhashed) < len(digests) or _HEADER not in known:
             self._rewrite()
+
+    def _end_last_line(self, whole: bytes, last: bytes, header: str) -> bytes:
+        """End a last line without a line break if it is complete, otherwise remove it; return the table's content."""
+        is_kept = _is_complete(last, header)
+        if not is_kept and last.strip():
+            LOGGER.warning("%s: its last line is incomplete and was removed: %s", self.table, last.decode(errors="replace"))
+        with storing(self.table), open(self.table, "r+b") as out:
+            out.truncate(len(whole) + (len(last) if is_kept else 0))
+            out.seek(0, os.SEEK_END)
+            out.write(b"\n" if is_kept else b"")
+            out.flush()
+            os.fsync(out.fileno())
+        return whole + last + b"\n" if is_kept else whole
 
     def _path(self, file: str) -> Path:
         """Return the path of a photograph; raise an error if it is outside the session's folder."""
@@ -385,6 +398,16 @@ class Journal:
                 _write_table(self.retired, left)
         else:
             self.retired.unlink(missing_ok=True)
+
+
+def _is_complete(line: bytes, header: str) -> bool:
+    """Return whether a line has a cell for every column of the header, with a whole hash or none."""
+    try:
+        cells = next(csv.reader([line.decode()], strict=True), [])
+    except (UnicodeDecodeError, csv.Error):
+        return False
+    row = dict(zip(names := header.split(","), cells, strict=False))
+    return len(cells) == len(names) and len(row["sha256"].strip()) in (0, _HASH_DIGITS)
 
 
 def _agrees(line: Shot, wanted: Shot | None) -> bool:

@@ -42,16 +42,34 @@ def retired(folder: Path) -> dict[str, dict]:
 
 
 @pytest.mark.stability(stage="capture", case="line of the table torn")
-def test_a_line_torn_at_any_byte_costs_nothing(done):
+def test_a_line_torn_at_any_byte_costs_nothing(done, caplog):
     before = contents(done)
     whole = before["captures.csv"]
     start = whole.rstrip(b"\n").rfind(b"\n") + 1
     for cut in range(start, len(whole)):
         (done / "captures.csv").write_bytes(whole[:cut])
         camera = QuickCamera()
+        caplog.clear()
         tally = hold(done, PLAN, camera)
         assert contents(done) == before
-        assert not camera.taken and (tally.kept, tally.adopted) == (3, 1)
+        # Only the line break may lack; a line without a hash, as a person writes it, is left to the plan.
+        is_complete, is_unhashed = cut == len(whole) - 1, cut == whole.rfind(b",") + 1
+        assert not camera.taken and (tally.kept, tally.adopted) == ((4, 0) if is_complete else (3, 1))
+        is_removed = "captures.csv: its last line is incomplete and was removed: " in caplog.text
+        assert is_removed != (is_complete or is_unhashed or cut == start)
+
+
+def test_a_last_line_without_a_line_break_is_kept_and_the_next_photograph_has_its_own_line(tmp_path):
+    """Some editors end no last line: as much as a table in which nothing is missing."""
+    hold(tmp_path, PLAN[:3])
+    table = tmp_path / "captures.csv"
+    table.write_bytes(table.read_bytes().removesuffix(b"\n"))
+    before = read_captures(table, tmp_path)
+    assert list(Journal(table).shots.values()) == before and len(before) == 3
+    table.write_bytes(table.read_bytes().removesuffix(b"\n"))
+    camera = QuickCamera()
+    hold(tmp_path, PLAN, camera)
+    assert camera.taken == [PLAN[3].file] and read_captures(table, tmp_path) == PLAN
 
 
 @pytest.mark.parametrize("left", ["", "file,role,li", "the header"])
