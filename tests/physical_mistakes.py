@@ -117,6 +117,16 @@ MISTAKES = (
         ("tests/unit/test_first_look.py::test_check_captures_holds_files_to_the_stated_size",),
     ),
     Mistake(
+        "one photograph whose file states another pattern of the colour mosaic", FIRST_LOOK, REFUSED,
+        "was it converted or cropped in another way", _LOOK,
+        ("tests/unit/test_first_look.py::test_a_mosaic_of_another_pattern_than_the_others_is_refused",),
+    ),
+    Mistake(
+        "white level in the files above the number at which the sensor clips", FIRST_LOOK, WARNED,
+        "they are taken as saturated", "irodori/ingest/mosaic.py",
+        ("tests/unit/test_first_look.py::test_clipping_below_the_white_level_is_said_once_for_a_set",),
+    ),
+    Mistake(
         "picture out of focus, or shaken", FIRST_LOOK, WARNED, "look at the focus, and whether something shook", _LOOK,
         (f"{_SET.partition('::')[0]}::test_a_photograph_out_of_focus_is_named_and_not_refused",),
     ),

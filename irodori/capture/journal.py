@@ -212,7 +212,9 @@ class Journal:
         """End a last line without a line break if it is complete, otherwise remove it; return the table's content."""
         is_kept = _is_complete(last, header)
         if not is_kept and last.strip():
-            LOGGER.warning("%s: its last line is incomplete and was removed: %s", self.table, last.decode(errors="replace"))
+            LOGGER.warning(
+                "%s: its last line is incomplete and was removed: %s", self.table, last.decode(errors="replace")
+            )
         with storing(self.table), open(self.table, "r+b") as out:
             out.truncate(len(whole) + (len(last) if is_kept else 0))
             out.seek(0, os.SEEK_END)

@@ -16,12 +16,12 @@ from irodori.check.findings import Finding
 from irodori.config.capture_table import LENS, Shot, chart_capture, check_unchanged, read_captures, shot_path
 from irodori.config.cross_checks.captures_on_rig import table_and_folder
 from irodori.config.loaded import Loaded
-from irodori.config.models import Chart, Optics
+from irodori.config.models import Chart, MirrorBallSource, Optics
 from irodori.config.photograph_sets import PhotographSets
 from irodori.core.errors import InputError, PlainError, is_file
 from irodori.core.progress import track
-from irodori.ingest.exposure_settings import relative_exposure_s, settle, settle_set
-from irodori.ingest.first_look import COARSE, COARSE_WARNING, SetSize
+from irodori.ingest.exposure_settings import filter_states, relative_exposure_s, settle, settle_set
+from irodori.ingest.first_look import SetNumbers, SetSize
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.set_plausibility import FocalRange, SetLook
 from irodori.lens.opencv import need_opencv
@@ -176,8 +176,9 @@ class PhotographCheck:
         focal = FocalRange.of(*one.lens_mm) if one.lens_mm else None
         seen, size = SetLook(shots, focal, self._whites.get(one.camera, ())), SetSize(one.size_px)
         settled: dict[str, Shot] = {}
-        coarse = False
+        numbers = SetNumbers()
         best: dict[str, _Bright] = {}
+        around: list[tuple[Shot, Mosaic]] = []
         for shot in track(seen.shots, f"look {one.name}"):
             path = shot_path(shot, one.table, one.folder)
             self.count += 1
@@ -192,9 +193,10 @@ class PhotographCheck:
                 yield Finding(True, str(error), path)
                 continue
             seen.see(settled[shot.file], path, mosaic)
-            if mosaic.full_scale <= COARSE and not coarse:
-                coarse = True
-                yield Finding(False, f"{path}: {COARSE_WARNING}", path)
+            for words in numbers.warnings(path, mosaic):
+                yield Finding(False, words, path)
+            if shot.role == "environment":
+                around.append((settled[shot.file], mosaic))
             if shot.role in ("chart", "white") and shot.filter == "out":
                 bright = _Bright.of(settled[shot.file], mosaic)
                 best[shot.subject] = max(bright, best.get(shot.subject, bright), key=_Bright.rank)
@@ -205,9 +207,38 @@ class PhotographCheck:
         for doubted in seen.doubted():
             text = f"{doubted.path}: {doubted.doubt.kind}: {doubted.doubt.words}"
             yield Finding(doubted.doubt.is_certain, text, doubted.path)
+        if around and len(around) == sum(shot.role == "environment" for shot in shots):
+            yield from self._of_surroundings(one, around)
         if "chart" in one.roles:
             self._whites[one.camera] = seen.whites
             yield from self._of_charts(one, best)
+
+    def _of_surroundings(self, one: PhotographSet, photographs: list[tuple[Shot, Mosaic]]) -> Iterator[Finding]:
+        """Merge the exposures of a panorama or mirror ball, and refuse pixels saturated in all, as a run does."""
+        # Compiled loops, slow to load.
+        from irodori.ingest.camera_reference import Reference
+        from irodori.ingest.develop import Frame, merge_frames
+        from irodori.ingest.ingest_options import IngestOptions
+        from irodori.ingest.photon_transfer import PhotonTransfer
+        from irodori.light.mirror_ball import used_part
+        from irodori.light.omnidirectional import refuse_saturated
+
+        source = self._loaded.environments[one.subject].source
+        unknown = Reference(None, {}, PhotonTransfer(), (0, 0), [], None)
+        options = IngestOptions(saturation=self._loaded.config.ingest.saturation)
+        shortest = min((shot for shot, _ in photographs), key=relative_exposure_s)
+        path = shot_path(shortest, one.table, one.folder)
+        by_state = []
+        try:
+            for state in filter_states(shot for shot, _ in photographs):
+                frames = [Frame(shot, mosaic, None) for shot, mosaic in photographs if shot.filter == state]
+                by_state.append(merge_frames(unknown, frames, options, None).clipped)
+            saturated = np.logical_or.reduce(by_state)
+            if isinstance(source, MirrorBallSource):
+                saturated &= used_part(source, *by_state[0].shape)
+            refuse_saturated(saturated, path)
+        except InputError as error:
+            yield Finding(True, str(error), path)
 
     def _of_charts(self, one: PhotographSet, best: Mapping[str, _Bright]) -> Iterator[Finding]:
         """Locate and read the patches of every chart, divided by the white reference, as calibration does."""

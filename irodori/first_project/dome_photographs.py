@@ -11,7 +11,7 @@ from irodori.core.errors import InputError
 from irodori.core.file_kinds import IF_LINEAR, is_picture, kind_instead_of_raw
 from irodori.first_project.light_places import photograph_key, read_lamps
 from irodori.first_project.lights_command import in_counting_order, is_mask, same_size
-from irodori.ingest.first_look import COARSE, COARSE_WARNING
+from irodori.ingest.first_look import SetNumbers
 from irodori.ingest.mosaic import decode
 
 _CLIPPED, _FEWEST, _GREEN = 0.98, 5, 1
@@ -89,15 +89,14 @@ def read_photographs(asked: argparse.Namespace) -> DomePhotographs:
             raise InputError(file, "", found, f"RAW files; or --linear, {IF_LINEAR}")
     if len(files) < _FEWEST:
         raise InputError(asked.lights, "", f"{len(files)} photographs", f"{_FEWEST} or more, each under another lamp")
-    green, usable, coarse = [], [], False
+    green, usable, numbers = [], [], SetNumbers()
     for file in files:
         mosaic = decode(file, asked.linear)
         green.append((mosaic.superpixels[..., _GREEN] / (mosaic.full_scale * (mosaic.exposure_s or 1.0))).astype("f4"))
         usable.append(mosaic.largest < _CLIPPED)
-        coarse |= mosaic.full_scale <= COARSE
+        for words in numbers.warnings(file, mosaic):
+            print(words, file=sys.stderr)
     same_size(files, green)
-    if coarse:
-        print(f"{files[0]}: {COARSE_WARNING}", file=sys.stderr)
     keys = [photograph_key(file.name) for file in files]
     direction = np.array([stated[key] for key in keys])
     direction /= np.linalg.norm(direction, axis=1)[:, None]

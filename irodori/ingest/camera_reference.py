@@ -11,7 +11,7 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.ingest.dark_frames import Dark, measure_dark
-from irodori.ingest.develop import develop
+from irodori.ingest.develop import develop, require_pattern
 from irodori.ingest.exposure_settings import filter_states, known_settings, settle, settle_set
 from irodori.ingest.flat_field import fit_flat
 from irodori.ingest.ingest_options import IngestOptions
@@ -39,6 +39,8 @@ class Reference:
         Those of ``iso`` and ``f_number`` that are part of the relative exposure.
     alignment : Alignment or None
         Nominal transform due to the filter, from the chart.
+    pattern : str
+        Colours of the first 2 x 2 pixels of the mosaics; empty if no photograph is a mosaic.
     """
 
     dark: Dark | None
@@ -47,6 +49,7 @@ class Reference:
     size_px: tuple[int, int]
     known: list[str]
     alignment: Alignment | None
+    pattern: str = ""
 
     @classmethod
     def load(cls, path) -> "Reference":
@@ -63,8 +66,8 @@ class Reference:
                 iso=file.attribute("gain_iso"),
             )
             alignment = Alignment.read(file) if "registration" in file else None
-            size = tuple(file.attribute("size_px"))
-            return cls(dark, dict(zip(states, white, strict=True)), noise, size, file.attribute("known"), alignment)
+            size, known, pattern = tuple(file.attribute("size_px")), file.attribute("known"), file.attribute("mosaic")
+            return cls(dark, dict(zip(states, white, strict=True)), noise, size, known, alignment, pattern)
 
 
 def _load_dark(file: store.Reader) -> Dark | None:
@@ -99,8 +102,9 @@ def ingest_reference(
     Raises
     ------
     InputError
-        If a file has changed since its hash was recorded in the table, a white reference is saturated or uneven, the
-        camera is less linear than the options allow, or the two shots of the chart cannot be registered.
+        If a file has changed since its hash was recorded in the table, the mosaics differ in their pattern, a white
+        reference is saturated or uneven, the camera is less linear than the options allow, or the two shots of the
+        chart cannot be registered.
 
     Notes
     -----
@@ -111,14 +115,14 @@ def ingest_reference(
     standard errors; ``/linearity`` (n) deviation at each relative exposure; ``/registration`` (4). Attributes of the
     noise are NaN if it cannot be measured.
     """
-    shots, size = _settled_shots(table, folder)
+    shots, size, pattern = _settled_shots(table, folder)
     whites = [s for s in shots if s.role == "white"]
     dark = measure_dark(shots, table, folder)
     hot_px = np.zeros((0, 2), np.int32) if dark is None else dark.hot_px
     noise = measure_noise(shots, table, folder, hot_px)
     linearity = measure_linearity(shots, table, folder, dark, options.max_nonlinearity)
     factor, factor_uncertainty = white_reflectance(white_factor)
-    partial = Reference(dark, {}, noise, size, known_settings(shots), None)
+    partial = Reference(dark, {}, noise, size, known_settings(shots), None, pattern)
     white = {
         state: _white(partial, [s for s in whites if s.filter == state], table, folder, float(factor), options)
         for state in filter_states(whites)
@@ -144,19 +148,29 @@ def ingest_reference(
         out.attribute("white_factor_uncertainty", factor_uncertainty)
         out.attribute("size_px", list(size))
         out.attribute("known", partial.known)
+        out.attribute("mosaic", pattern)
 
 
-def _settled_shots(table, folder) -> tuple[list[Shot], tuple[int, int]]:
-    """Return the shots of a camera with settings completed from their files, and the size of its mosaics, px."""
-    settled, size = [], (0, 0)
+def _settled_shots(table, folder) -> tuple[list[Shot], tuple[int, int], str]:
+    """Return the shots of a camera with settings completed from their files; size, px, and pattern of its mosaics.
+
+    Raises
+    ------
+    InputError
+        If the pattern of a file differs from that of the first.
+    """
+    settled, size, pattern = [], (0, 0), ""
     shots = [shot for shot in read_captures(table, folder) if shot.role in ("dark", "white", "chart")]
     check_unchanged(table, folder, shots)
     for shot in track(shots, "reference"):
-        mosaic = decode(shot_path(shot, table, folder), shot.linear)
+        path = shot_path(shot, table, folder)
+        mosaic = decode(path, shot.linear)
+        require_pattern(pattern, mosaic, path)
+        pattern = pattern or ("" if mosaic.linear else mosaic.pattern)
         settled.append(settle(shot, mosaic, table))
         if size == (0, 0) and shot.role in ("dark", "white"):
             size = mosaic.size
-    return settle_set(settled, table), size
+    return settle_set(settled, table), size, pattern
 
 
 def _write_dark(out: store.Writer, dark: Dark | None) -> None:

@@ -70,14 +70,15 @@ def load_frames(reference, shots: list[Shot], table, folder, options: IngestOpti
     Raises
     ------
     InputError
-        If a file cannot be decoded, contradicts the table, or has another size than the camera's reference.
+        If a file cannot be decoded, contradicts the table, or has another size or another mosaic than the camera's
+        reference.
     """
 
     def load(shot: Shot) -> Frame:
         path = shot_path(shot, table, folder)
         mosaic = decode(path, shot.linear)
         shot = settle(shot, mosaic, table)
-        _check_size(reference, shot, mosaic, path)
+        _check_sensor(reference, shot, mosaic, path)
         if options.sample_px == 2:
             return Frame(shot, mosaic, None)
         if mosaic.linear:
@@ -94,11 +95,19 @@ def _is_sensor(reference, shot: Shot, mosaic: Mosaic) -> bool:
     return shot.role != "environment" or mosaic.size == tuple(reference.size_px)
 
 
-def _check_size(reference, shot: Shot, mosaic: Mosaic, path) -> None:
+def _check_sensor(reference, shot: Shot, mosaic: Mosaic, path) -> None:
     wanted = tuple(reference.size_px)
     if _is_sensor(reference, shot, mosaic) and wanted != (0, 0) and mosaic.size != wanted:
         found = f"{mosaic.size[0]} x {mosaic.size[1]} pixels"
         raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]}, as the camera's dark frames and white")
+    if _is_sensor(reference, shot, mosaic):
+        require_pattern(reference.pattern, mosaic, path)
+
+
+def require_pattern(pattern: str, mosaic: Mosaic, path) -> None:
+    """Raise `InputError` for a mosaic of another pattern than the camera's; an empty one accepts any."""
+    if pattern and not mosaic.linear and mosaic.pattern != pattern:
+        raise InputError(path, "mosaic", mosaic.pattern, f"{pattern}, as the camera's reference photographs")
 
 
 def _dark_seconds(reference, shot: Shot) -> float:

@@ -9,8 +9,10 @@ from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.set_plausibility import FocalRange, SetLook
 
 #: White level at or below which pictures have too few steps for dark colours, and the warning.
-COARSE = 255.0
-COARSE_WARNING = "8 bits a band: a tenth of the range has 25 steps, so that dark colours are coarse; 16 bits are better"
+_COARSE = 255.0
+_COARSE_WARNING = (
+    "8 bits a band: a tenth of the range has 25 steps, so that dark colours are coarse; 16 bits are better"
+)
 
 
 def check_captures(table, folder, output, roles, size_px=None, lens_mm=None) -> None:
@@ -40,7 +42,7 @@ def check_captures(table, folder, output, roles, size_px=None, lens_mm=None) -> 
     shots = [shot for shot in read_captures(table, folder) if shot.role in roles]
     check_unchanged(table, folder, shots)
     settled, hashes, seen = {}, {}, SetLook(shots, FocalRange.of(*lens_mm) if lens_mm else None)
-    size, coarse = SetSize(size_px), None
+    size, numbers = SetSize(size_px), SetNumbers()
     for shot in track(seen.shots, "check"):
         path = shot_path(shot, table, folder)
         mosaic = decode(path, shot.linear)
@@ -48,9 +50,8 @@ def check_captures(table, folder, output, roles, size_px=None, lens_mm=None) -> 
         settled[shot.file] = settle(shot, mosaic, table)
         hashes[shot.file] = content_sha256(path)
         seen.see(settled[shot.file], path, mosaic)
-        coarse = coarse or (path if mosaic.full_scale <= COARSE else None)
-    if coarse:
-        LOGGER.warning("%s: %s", coarse, COARSE_WARNING)
+        for words in numbers.warnings(path, mosaic):
+            LOGGER.warning(words)
     for unlikely in seen.refuse(table):
         LOGGER.warning("%s: %s: %s", unlikely.path, unlikely.doubt.kind, unlikely.doubt.words)
     write_captures(output, settle_set([settled[shot.file] for shot in shots], table), hashes)
@@ -77,3 +78,21 @@ class SetSize:
             found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
             accepted = f"{self._wanted[0]} x {self._wanted[1]} pixels, as its set states"
             raise InputError(path, "size", found, accepted)
+
+
+class SetNumbers:
+    """Warnings about the digital numbers of a set, each for the first photograph that gives rise to it."""
+
+    def __init__(self) -> None:
+        self._coarse = self._early = False
+
+    def warnings(self, path, mosaic: Mosaic) -> list[str]:
+        """Return the warnings that the next photograph of the set is the first to give rise to."""
+        found = []
+        if mosaic.full_scale <= _COARSE and not self._coarse:
+            self._coarse = True
+            found.append(f"{path}: {_COARSE_WARNING}")
+        if mosaic.early_clipping and not self._early:
+            self._early = True
+            found.append(f"{path}: {mosaic.early_clipping}, here and wherever else in its set")
+        return found

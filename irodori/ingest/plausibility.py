@@ -43,7 +43,7 @@ PLATE_SHIFT = 0.01
 _BLACK = 0.997
 #: Kinds of doubts that no correct photograph is known to raise: such photographs are refused.
 CERTAIN = (
-    *("identical", "size", "body", "lens", "focal length"),
+    *("identical", "size", "mosaic", "body", "lens", "focal length"),
     *("black", "blown", "light", "filter", "order", "white"),
 )
 _OTHER = {"in": "out", "out": "in"}
@@ -135,6 +135,8 @@ class Look:
         Focal length stated in the file, mm; 0 if it does not state it.
     is_thumbnail : bool
         Whether the picture is too small to tell a shift.
+    pattern : str
+        Colours of the first 2 x 2 pixels of the mosaic; empty for a picture that is not a mosaic.
     """
 
     size: tuple[int, int]
@@ -149,6 +151,7 @@ class Look:
     whole: np.ndarray = field(repr=False)
     focal_mm: float = 0.0
     is_thumbnail: bool = False
+    pattern: str = ""
 
     def __str__(self) -> str:
         return f"brightest hundredth at {self.level:.0%} of the range, {self.clipped:.1%} blown, {self.dark:.0%} dark"
@@ -270,6 +273,7 @@ def look_at(path, mosaic: Mosaic, *, thumbnail: bool = False) -> Look:
         whole=_blocks(clipped, side) == 0.0,
         focal_mm=mosaic.focal_mm,
         is_thumbnail=thumbnail,
+        pattern="" if mosaic.linear else mosaic.pattern,
     )
 
 
@@ -440,7 +444,7 @@ class Series:
         return [(s, seen) for s, seen in self._seen if (s.subject, s.filter) == (shot.subject, shot.filter)]
 
     def _of_the_file(self, shot: Shot, look: Look) -> Iterator[Doubt]:
-        """Yield doubts from the file: a picture delivered before, or another size, body or lens."""
+        """Yield doubts from the file: a picture delivered before, or another size, mosaic, body or lens."""
         for earlier, seen in self._seen:
             if seen.pixels == look.pixels:
                 yield delivered_again(earlier.file)
@@ -455,6 +459,9 @@ class Series:
             yield Doubt(
                 "size", f"{width} x {height} pixels, {shot.file} has {as_wide} x {as_high}: look at its settings"
             )
+        if look.pattern and first.pattern and look.pattern != first.pattern:
+            found = f"a mosaic of {look.pattern}, {shot.file} has one of {first.pattern}"
+            yield Doubt("mosaic", f"{found}: was it converted or cropped in another way?")
         for kind, mine, other in (("body", look.camera, first.camera), ("lens", look.lens, first.lens)):
             if mine and other and mine != other:
                 yield Doubt(kind, f"taken with {mine!r}, {shot.file} with {other!r}: is this the right one?")

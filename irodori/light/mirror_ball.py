@@ -61,6 +61,12 @@ def inverse_reflectance(source: MirrorBallSource, cos_h: np.ndarray) -> tuple[np
     return np.stack(factors, axis=-1), vt[:count].T
 
 
+def used_part(source: MirrorBallSource, height: int, width: int) -> np.ndarray:
+    """Return the pixels of the photograph of a ball that are used, (height, width) bool."""
+    (x, y), radius = source.centre_px, source.radius_px
+    return np.hypot(np.arange(width) - x, np.arange(height)[:, None] - y) <= RIM * radius + 1.0
+
+
 def ball_places(
     source: MirrorBallSource, width: int, height: int, rows: slice = slice(None)
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

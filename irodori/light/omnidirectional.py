@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from irodori.core.errors import InputError
 from irodori.light.environment_file import directions
 
 #: Rows of a picture that are read at a time; EXR compresses 16 or 32 rows together.
@@ -101,6 +102,25 @@ class MeanLight:
         """Return the mean radiance, (61,), with negative values set to 0; equal energy if all light is zero."""
         mean = np.maximum(basis @ np.sum([self._sums[first] for first in sorted(self._sums)], axis=0), 0.0)
         return mean if mean.any() else np.ones_like(mean)
+
+
+def refuse_saturated(saturated: np.ndarray, file) -> None:
+    """Raise an error if pixels of a photographed environment are saturated in every exposure of a bracket.
+
+    Parameters
+    ----------
+    saturated : (height, width) bool
+        False also where a pixel is not used.
+    file : path
+        File that the message names.
+
+    Raises
+    ------
+    InputError
+    """
+    if saturated.any():
+        found = f"{np.count_nonzero(saturated)} pixels saturated in every bracket"
+        raise InputError(file, "exposure_s", found, "a shorter bracket of the environment")
 
 
 def bands(height: int) -> Iterator[slice]:

@@ -1,6 +1,7 @@
 """Stage ``light``: compress an omnidirectional picture and compute its irradiance and gloss maps [eq. 8, 9]."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -27,8 +28,15 @@ from irodori.light.known_lamps import known_prior, require_lamps_seen, told_by
 from irodori.light.light_files import rgb_picture, spectral_picture
 from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
-from irodori.light.mirror_ball import RIM, unwrapped
-from irodori.light.omnidirectional import KeptPicture, MeanLight, OmnidirectionalPicture, bands, from_panorama
+from irodori.light.mirror_ball import unwrapped, used_part
+from irodori.light.omnidirectional import (
+    KeptPicture,
+    MeanLight,
+    OmnidirectionalPicture,
+    bands,
+    from_panorama,
+    refuse_saturated,
+)
 from irodori.light.placed_lights import lights_picture
 from irodori.light.room_charts import read_room_charts, recovery_with
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
@@ -70,10 +78,7 @@ def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
     with store.open_file(linear) as file:
         valid, clipped = file.read("valid").astype(bool), file.read("clipped").astype(bool)
         filters = file.attribute("filters")
-    used = clipped if part is None else clipped & part(*valid.shape)
-    if used.any():
-        found = f"{int(used.sum())} pixels saturated in every bracket"
-        raise InputError(linear, "exposure_s", found, "a shorter bracket of the environment")
+    refuse_saturated(clipped if part is None else clipped & part(*valid.shape), linear)
     return valid, filters
 
 
@@ -121,11 +126,7 @@ def _mirror_ball(
     recovery_of: Callable[[Directions], LightRecovery],
 ) -> OmnidirectionalPicture:
     """Make the picture of the light around a photographed mirror ball."""
-    (x, y), radius = source.centre_px, source.radius_px
-
-    def ball(height: int, width: int) -> np.ndarray:
-        return np.hypot(np.arange(width) - x, np.arange(height)[:, None] - y) <= RIM * radius + 1.0
-
+    ball = partial(used_part, source)
     valid, filters = _read_masks(linear, ball)
     calibration.require_filters(filters, linear)
     with store.open_file(linear) as file:

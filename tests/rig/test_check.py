@@ -3,8 +3,10 @@
 import copy
 import shutil
 
+import numpy as np
 import pytest
 import yaml
+from dng_files import write_any_dng
 from made import made
 from sessions import definitions
 
@@ -216,6 +218,68 @@ def test_a_broken_file_hides_no_other_fault_and_bodies_are_compared_between_sets
         f"plate/{plate.name}",
     ]
     assert "body: taken with 'Irodori spare', white-out-20000us-00.dng with" in lines[2]
+
+
+def test_a_mosaic_of_another_pattern_than_the_camera_s_is_named(project, tmp_path, capsys, monkeypatch):
+    """All photographs of the plate agree, and the camera's white reference contradicts them."""
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    table = folder / "plate/captures.csv"
+    table.write_text("\n".join(line.rpartition(",")[0] for line in table.read_text().splitlines()))  # its old hashes
+    files = sorted((folder / "plate").glob("*.dng"))
+    for file in files:
+        taken = decode(file)
+        file.unlink()
+        write_any_dng(file, taken.values, pattern="BGGR", exposure_s=taken.exposure_s)
+    status, lines = said(folder, capsys)
+    named = [
+        line for line in lines if ": mosaic: a mosaic of BGGR, white-" in line and "has one of RGGB: was it" in line
+    ]
+    assert status == 1 and {line.split(": ")[1] for line in named} == {f"plate/{file.name}" for file in files}
+
+
+@pytest.mark.parametrize(
+    ("light", "exposures_s", "at", "saturated"),
+    [
+        ({}, [0.02], 20, 24),
+        ({}, [0.02, 0.002], 20, 0),
+        (
+            {"kind": "mirror_ball", "centre_px": [31.5, 15.5], "radius_px": 12, "reflectance_factor": 0.9},
+            [0.02],
+            30,
+            24,
+        ),
+        ({"kind": "mirror_ball", "centre_px": [31.5, 15.5], "radius_px": 12, "reflectance_factor": 0.9}, [0.02], 2, 0),
+    ],
+)
+def test_a_light_saturated_in_every_exposure_is_said_before_any_job(
+    project, tmp_path, capsys, monkeypatch, light, exposures_s, at, saturated
+):
+    """Through the filter other pixels are saturated than without it; both count, and so do those of the ball alone."""
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    (folder / "room").mkdir()
+    lines, rng = ["file,role,light_deg,camera_deg,filter,exposure_s"], np.random.default_rng(7)
+    for state, row in (("out", 20), ("in", 26)):
+        for seconds in exposures_s:
+            level = np.full((64, 128), 3000.0)
+            level[row : row + 6, 2 * at : 2 * at + 8] = 90_000.0
+            counted = rng.poisson(2.0 * level * seconds / 0.02) / 2.0
+            file = f"environment-{state}-{1e6 * seconds:.0f}us.dng"
+            mosaic = np.minimum(np.rint(600.0 + counted), 16383).astype(np.uint16)
+            write_any_dng(folder / "room" / file, mosaic, exposure_s=seconds)
+            lines.append(f"{file},environment,0,0,{state},{seconds}")
+    (folder / "room/captures.csv").write_text("\n".join(lines) + "\n")
+    if light:
+        light = {"source": light | {"camera_azimuth_deg": 0.0, "camera_elevation_deg": 0.0}}
+    room = {"camera": "own", "image": {"width": 64, "height": 32}, "captures": {"table": "room/captures.csv"}}
+    write(folder, {"environments/room.yaml": room | light, "scenes/desk.yaml": SCENE | {"environment": "room"}})
+    found = [line for line in said(folder, capsys)[1] if "saturated" in line]
+    shortest = f"environment-out-{1e6 * min(exposures_s):.0f}us.dng"
+    words = (
+        f"error: room/{shortest}: exposure_s: found {saturated} pixels saturated in every bracket; accepted: a shorter"
+    )
+    assert len(found) == (saturated > 0) and all(line.startswith(words) for line in found), found
 
 
 def test_faults_of_several_files_and_lines_are_listed_together_and_each_once(project, tmp_path, capsys, monkeypatch):

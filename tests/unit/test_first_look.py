@@ -11,6 +11,7 @@ from raw_studio import SIZE, Studio, dng
 from irodori.config.capture_table import ROLES, Pose, Shot, read_captures, write_captures
 from irodori.core.errors import InputError
 from irodori.ingest.first_look import check_captures
+from irodori.ingest.mosaic import decode
 
 
 def test_check_captures_notes_the_hash_of_every_file(tmp_path):
@@ -116,3 +117,47 @@ def test_the_lens_of_the_files_is_that_of_the_definition(tmp_path):
     check_captures(*asked, (50.0, 900.0))
     with pytest.raises(InputError, match=r"0\.dng: focal length: found taken at 50 mm, .*is 85: is it the right lens"):
         check_captures(*asked, (85.0, 900.0))
+
+
+def test_clipping_below_the_white_level_is_said_once_for_a_set(tmp_path, caplog):
+    """The tag states more than the sensor reaches; highlights are masked all the same."""
+    studio = Studio(tmp_path, seed=34)
+    studio.references()
+    truth = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.4)
+    truth[20:30, 40:60] = 9.0
+    for angle in (20.0, 40.0):
+        for state, exposure_s in (("out", 0.02), ("in", 0.05)):
+            studio.shoot("object", truth, state, exposure_s, angle)
+    for shot in studio.shots:
+        taken = decode(tmp_path / shot.file)
+        dng(tmp_path / shot.file, taken.values, white=20_000, exposure_s=shot.exposure_s)
+    check_captures(studio.table(), tmp_path, tmp_path / "checked.csv", ROLES)
+    (said,) = [one.getMessage() for one in caplog.records if "white level" in one.getMessage()]
+    assert "have exactly 16383" in said and "the file states 20000: they are taken as saturated" in said
+    response, valid, *_ = studio.ingest(Pose(40.0, 0.0).name)
+    expected = np.ones_like(valid)
+    expected[20:30, 40:60] = 0
+    assert np.array_equal(valid, expected)
+    # The level of the other pixels is that of the white reference, none of which is saturated.
+    assert np.allclose(response[valid == 1].mean(axis=0), 0.4, rtol=0.01)
+
+
+@pytest.mark.parametrize("role", ["dark", "white", "chart", "object"])
+def test_a_mosaic_of_another_pattern_than_the_others_is_refused(tmp_path, role):
+    studio = Studio(tmp_path, seed=35)
+    studio.references()
+    truth = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.4)
+    for subject in ("chart", "object"):
+        for state, exposure_s in (("out", 0.02), ("in", 0.05)):
+            studio.shoot(subject, truth * (0.5 if subject == "chart" else 1.0), state, exposure_s)
+    culprit = [shot for shot in studio.shots if shot.role == role][-1]
+    mosaic = decode(tmp_path / culprit.file).values
+    (tmp_path / culprit.file).unlink()
+    write_any_dng(tmp_path / culprit.file, mosaic, pattern="BGGR", exposure_s=culprit.exposure_s)
+    table = studio.table()
+    words = rf"{culprit.file}: mosaic: found a mosaic of BGGR, .* of RGGB: was it converted or cropped in another way"
+    with pytest.raises(InputError, match=words):
+        check_captures(table, tmp_path, tmp_path / "checked.csv", ROLES)
+    # Nor does ingestion take it, in which sets meet.
+    with pytest.raises(InputError, match=rf"{culprit.file}: mosaic: found BGGR; accepted: RGGB, as the camera's ref"):
+        studio.ingest(Pose(40.0, 0.0).name)

@@ -292,6 +292,7 @@ def test_real_cameras_files_decode(name, size, pattern, black, white):
     decoded = decode(real(name))
     assert decoded.size == size and decoded.pattern == pattern
     assert (decoded.black == black).all() and (decoded.white == white).all() and decoded.values.max() <= white
+    assert not decoded.early_clipping
     assert 1e-4 < decoded.exposure_s < 1 and 25 < decoded.iso < 400 and 2 < decoded.f_number < 8
     # Neighbours of one colour agree: the mosaic is read in its own order.
     green = decoded.superpixels[..., 1]
@@ -301,3 +302,60 @@ def test_real_cameras_files_decode(name, size, pattern, black, white):
 @pytest.mark.parametrize(("said", "taken"), [(0.02, 0.02), (math.inf, 0.0), (math.nan, 0.0), (-1.0, 0.0), (0.0, 0.0)])
 def test_what_a_file_states_is_a_positive_number_or_nothing(said, taken):
     assert _stated(said) == taken
+
+
+STATED, CLIPS = 20_000, 16_383  # white level in the file, and where the sensor's numbers end
+
+
+def noisy(rng, level, top=CLIPS, electrons_per_dn=2.5):
+    """Return numbers of a sensor under light of a level above black, DN, (height, width)."""
+    counted = rng.poisson(electrons_per_dn * np.asarray(level, float)) / electrons_per_dn
+    return np.minimum(np.rint(BLACK + counted), top).astype(np.uint16)
+
+
+@pytest.mark.parametrize("side", [7, 150, 298])
+def test_numbers_that_end_below_the_stated_white_level_are_saturated_there(tmp_path, side):
+    """Of a highlight of 7 x 7 pixels, one colour has 16 and one 9."""
+    level = np.linspace(50.0, 12_000.0, 300)[:, None] * np.ones(300)
+    level[:side, :side] = 40_000.0
+    decoded = decode(dng(tmp_path / "a.dng", noisy(np.random.default_rng(3), level), white=STATED))
+    assert (decoded.white == CLIPS).all() and decoded.full_scale == STATED - BLACK
+    assert f"white level: {side * side} pixels have exactly {CLIPS}" in decoded.early_clipping
+    assert f"but the file states {STATED}: they are taken as saturated" in decoded.early_clipping
+    assert np.count_nonzero(decoded.largest >= 1.0) == (-(-side // 2)) ** 2
+
+
+def test_a_colour_that_ends_before_the_others_is_saturated_at_its_own_number(tmp_path):
+    level = np.linspace(50.0, 12_000.0, 200)[:, None] * np.ones(300)
+    level[:20] = 40_000.0
+    mosaic = noisy(np.random.default_rng(3), level, STATED)
+    mosaic[1::2, 1::2] = np.minimum(mosaic[1::2, 1::2], 15_000)
+    decoded = decode(dng(tmp_path / "a.dng", mosaic, white=STATED))
+    assert decoded.white.tolist() == [[STATED, STATED], [STATED, 15_000]]
+    assert "white level: 1500 pixels have exactly 15000" in decoded.early_clipping
+
+
+@pytest.mark.parametrize(
+    ("level", "electrons_per_dn"),
+    [
+        (np.full((200, 300), 9_000.0), 2.5),  # an evenly lit surface
+        (np.full((200, 300), 9_000.0), 8.0),
+        (np.where(np.arange(300) < 40, 12_000.0, 80.0) * np.ones((200, 1)), 2.5),  # a lamp in the dark
+        (np.zeros((200, 300)), 2.5),  # with the cap on
+        (np.full((200, 300), 3.0), 2.5),
+        (np.full((200, 300), 700.0), 8.0),
+    ],
+)
+def test_an_honest_maximum_is_no_plateau(tmp_path, level, electrons_per_dn):
+    mosaic = noisy(np.random.default_rng(4), level, STATED, electrons_per_dn)
+    for step in (1, 2, 16):  # of an amplifier, or of a file of fewer bits
+        decoded = decode(dng(tmp_path / "a.dng", mosaic // step * step, white=STATED))
+        assert (decoded.white == STATED).all() and not decoded.early_clipping
+
+
+def test_coarse_numbers_tell_no_plateau(tmp_path):
+    """In 255 steps or fewer, an even surface may have a single number."""
+    level = np.full((200, 300), 180.0)
+    level[100:] = 40.0
+    decoded = decode(dng(tmp_path / "a.dng", level.astype(np.uint16), black=0, white=255))
+    assert (decoded.white == 255).all() and not decoded.early_clipping
