@@ -10,7 +10,7 @@ directions by expectation maximisation.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -85,6 +85,11 @@ class ResponseModel:
         of_lamp = principal_errors(differences_from(light, calibration.light_error))
         return cls(model / light, covariance / (light[:, None, None] * light), rig_lamp_errors=of_lamp)
 
+    def through(self, passed: np.ndarray) -> "ResponseModel":
+        """Return the response per unit radiance before a mirror that reflects a share of it, (61,)."""
+        both = passed[:, None, None] * passed
+        return replace(self, mean=self.mean * passed, covariance=self.covariance * both, errors=self.errors * passed)
+
 
 def principal_errors(covariance: np.ndarray) -> np.ndarray:
     """Return the principal components of a covariance, (n, n), each for one standard deviation, (k, n)."""
@@ -108,6 +113,12 @@ class Directions:
     response: np.ndarray
     share: np.ndarray
     lit: bool = True
+
+    def before(self, mirror: np.ndarray, model: ResponseModel, prior: LightPrior) -> "Directions":
+        """Return the directions, seen in a mirror of a reflectance, (61,), as the camera would see them without it."""
+        recovery = LightRecovery.of_room(model.through(mirror), self, prior)
+        light = recovery.weights(self.response).astype(np.float64) @ recovery.basis.T
+        return replace(self, response=light @ model.mean.T)
 
     def different(self) -> float:
         """Return the effective number of directions with distinct colours; 1 if all have the same colour."""

@@ -3,7 +3,8 @@
 The camera is assumed to be far away, with parallel rays (orthographic). A point of the image at the distance s·radius
 from the centre of the ball then shows the direction at an angle of 2 asin(s) from the direction to the camera. Near the
 edge of the ball, directions opposite to the camera are compressed into few pixels. For directions seen beyond `RIM` the
-values at `RIM` are used.
+values at `RIM` are used. The recovery of the light takes the ball's mean reflectance into account, because its prior
+describes the light before the ball; the rest of the reflectance is divided out here.
 """
 
 import math
@@ -47,6 +48,13 @@ def ball_reflectance(source: MirrorBallSource, cos_h: np.ndarray) -> np.ndarray:
         raise ValueError("a mirror ball without reflectance; accepted: refractive_index or reflectance_factor")
     n, k = refractive_index(source.refractive_index)
     return np.array([[fresnel(c, a, b) for a, b in zip(n, k, strict=True)] for c in cos_h])
+
+
+def mean_reflectance(source: MirrorBallSource) -> np.ndarray:
+    """Return the mean reflectance of the used part of the ball over solid angle, (61,)."""
+    # Equal areas of the image of the ball show equal solid angles.
+    area = (np.arange(_ANGLES) + 0.5) / _ANGLES
+    return ball_reflectance(source, np.sqrt(1.0 - RIM**2 * area)).mean(axis=0)
 
 
 def inverse_reflectance(source: MirrorBallSource, cos_h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -133,6 +141,7 @@ def unwrapped(
         The photograph.
     valid : (rows, columns) bool
     recovery : LightRecovery
+        Recovery of light that the mean reflectance of the ball reflects to the camera.
     path : path
         The photograph, for the error message.
 
@@ -150,10 +159,12 @@ def unwrapped(
     blind = 1.0 - RIM**2
     LOGGER.info("mirror ball: %.1f %% of the sphere lies behind it and takes the values of its rim", 100 * blind)
     size = image.height, image.width
+    # The recovery has divided by the mean reflectance.
     weights, inverse = recovery.weights(response), inverse_reflectance(source, np.ones(1))[1]
+    inverse = mean_reflectance(source)[:, None] * inverse
 
     def divided(basis: np.ndarray) -> np.ndarray:
-        """Multiply spectra, (..., 61, r), by each of the spectra of 1 / F; return (..., 61, parts r)."""
+        """Multiply spectra, (..., 61, r), by each of those of mean F / F; return (..., 61, parts r)."""
         return np.einsum("lt,...lr->...ltr", inverse, basis).reshape(*basis.shape[:-1], -1)
 
     def read() -> Iterator[np.ndarray]:

@@ -264,9 +264,16 @@ def room_prior(lights: Sequence[RoomLight], published: LightPrior) -> LightPrior
 
 
 def recovery_with(
-    charts: Sequence[ChartResponses], model: ResponseModel, directions: Directions, prior: LightPrior
+    charts: Sequence[ChartResponses],
+    model: ResponseModel,
+    directions: Directions,
+    prior: LightPrior,
+    mirror: np.ndarray | None = None,
 ) -> LightRecovery:
     """Determine the recovery of the light of a room, with the help of any number of charts, also none.
+
+    ``mirror``, (61,), is the reflectance of the mirror in which the camera sees the directions; the charts it sees
+    without it.
 
     Raises
     ------
@@ -275,8 +282,8 @@ def recovery_with(
     """
     for chart in charts:
         require_own_patches(chart)
-    require_in_room(charts, directions)
     if charts:
+        require_in_room(charts, directions if mirror is None else directions.before(mirror, model, prior))
         model, lights = lights_on(charts, model, prior)
         prior = room_prior(lights, prior)
-    return LightRecovery.of_room(model, directions, prior)
+    return LightRecovery.of_room(model if mirror is None else model.through(mirror), directions, prior)

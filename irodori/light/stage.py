@@ -28,7 +28,7 @@ from irodori.light.known_lamps import known_prior, require_lamps_seen, told_by
 from irodori.light.light_files import rgb_picture, spectral_picture
 from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
-from irodori.light.mirror_ball import unwrapped, used_part
+from irodori.light.mirror_ball import mean_reflectance, unwrapped, used_part
 from irodori.light.omnidirectional import (
     KeptPicture,
     MeanLight,
@@ -194,10 +194,13 @@ def prepare_environment(
     published = prior_of_any_lamp() if prior is None else prior
     known = known_prior(lamps, lamps_error_percent) if lamps else published
 
+    mirror = mean_reflectance(source) if isinstance(source, MirrorBallSource) else None
+
     def recovery_of(drawn: Directions) -> LightRecovery:
         if lamps:
-            require_lamps_seen(lamps, drawn, model, known, published, linear)
-        return recovery_with(charts, model, drawn, known)
+            seeing = model if mirror is None else model.through(mirror)
+            require_lamps_seen(lamps, drawn, seeing, known, published, linear)
+        return recovery_with(charts, model, drawn, known, mirror)
 
     if isinstance(source, CapturesSource):
         picture = _photographed(linear, calibration, source.centre_azimuth_deg, recovery_of)

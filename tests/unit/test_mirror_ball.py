@@ -15,7 +15,14 @@ from irodori.config.models import CapturesSource, IrradianceMap, MirrorBallSourc
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment, directions
-from irodori.light.mirror_ball import RIM, ball_places, ball_reflectance, inverse_reflectance, unwrapped
+from irodori.light.mirror_ball import (
+    RIM,
+    ball_places,
+    ball_reflectance,
+    inverse_reflectance,
+    mean_reflectance,
+    unwrapped,
+)
 from irodori.light.placed_lights import direction_of
 from irodori.light.stage import _mirror_ball, prepare_environment
 from irodori.material.principal_components.basis_count import CompressOptions
@@ -80,7 +87,12 @@ def test_the_balls_own_fresnel_reflectance_is_divided_out():
     n, k = 3.2, 3.3  # chromium, about
     source = {key: value for key, value in BALL.items() if key != "reflectance_factor"}
     source["refractive_index"] = {"n": n, "k": k}
-    weights = photograph(smooth, source, lambda cosine: fresnel(cosine, n, k)[..., None])
+    seen = photograph(smooth, source, lambda cosine: fresnel(cosine, n, k)[..., None])
+    # The recovery divides by the mean reflectance of what is used of the ball.
+    mean = mean_reflectance(made(MirrorBallSource, source))
+    sine = RIM * np.sqrt(np.linspace(0.0, 1.0, 1000))
+    assert mean == pytest.approx(np.full(61, fresnel(np.sqrt(1.0 - sine**2), n, k).mean()), rel=1e-3)
+    weights = seen / mean[0]
     picture = unwrapped(
         made(MirrorBallSource, source),
         made(Size, {"width": 64, "height": 32}),

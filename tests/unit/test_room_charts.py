@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from benchmarks.light import CHART, adapted_errors, camera, chart_under, errors, recovered, unlike
 from irodori.calibration.response_model import smooth_covariance
 from irodori.colour.colorimetry import colour_matching_weights
-from irodori.config.models import CapturesSource, Chart, IrradianceMap, MirrorBallSource
+from irodori.config.models import CapturesSource, Chart, IrradianceMap, MirrorBallSource, Size
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment
@@ -29,10 +29,12 @@ from irodori.light.room_charts import (
 )
 from irodori.light.stage import prepare_environment
 from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import chart_spectra, spectrum
 
 #: Lamps of all kinds, none of them in the prior, nor one like it.
 LAMPS = ("D50", "FL11", "HP4", "LED-B3", "LED-RGB1")
+GOLD = 0.36 + 0.6 / (1.0 + np.exp((520.0 - WAVELENGTH_NM) / 12.0))  # reflectance of gold, about
 WALLS = np.stack([spectrum(f"TCS{number}") for number in (7, 16, 39, 40, 59, 80)])
 
 
@@ -137,6 +139,33 @@ def test_a_chart_under_a_lamp_that_the_panorama_does_not_show_is_refused_by_its_
     with pytest.raises(InputError, match="nowhere in the panorama") as caught:
         recovery_with(charts, ResponseModel.of(seen.calibration), room, prior_without())
     assert caught.value.field == "room_charts.window"
+
+
+def test_light_seen_in_a_golden_mirror_is_recovered_as_well_as_without_it(seen):
+    """The prior describes the light before the mirror, whose colour makes no other lamp of it."""
+    model = with_exact_rig_lamp(ResponseModel.of(seen.calibration))
+    for name in LAMPS:
+        lights, prior, off = WALLS * lamp(name), prior_without(name), []
+        for mirror in (np.ones(61), GOLD):
+            room = room_of(seen, lights * mirror)
+            recovery = recovery_with([], model, room, prior, mirror)
+            off.append(np.linalg.norm(recovery.weights(room.response) @ recovery.basis.T - lights))
+        assert off[1] == pytest.approx(off[0], rel=0.1), name
+
+
+def test_charts_are_compared_with_the_light_before_a_golden_mirror(seen):
+    """The camera sees the charts without the mirror."""
+    model = ResponseModel.of(seen.calibration)
+    room = room_of(seen, np.concatenate([WALLS * lamp("D65"), WALLS * lamp("LED-B3")]) * GOLD)
+    desk = chart_under(seen, lamp("D65"), name="desk")
+    charts = [desk, chart_under(seen, lamp("LED-B3"), name="window")]
+    recovery_with(charts, model, room, prior_without(), GOLD)
+    with pytest.raises(InputError, match="nowhere in the panorama"):
+        recovery_with(charts, model, room, prior_without())
+    for name in ("FL11", "HP1", "LED-B5"):
+        with pytest.raises(InputError, match="nowhere in the panorama") as caught:
+            recovery_with([desk, chart_under(seen, lamp(name), name="window")], model, room, prior_without(), GOLD)
+        assert caught.value.field == "room_charts.window"
 
 
 @pytest.mark.stability(stage="light", case="a lamp outside the frame")
@@ -518,6 +547,27 @@ def test_charts_and_lamps_of_another_place_are_refused_by_the_stage(tmp_path, se
         prepared(tmp_path, prior=light_prior(published_lamps()[::30]),
                  room_charts={"desk": photographed(tmp_path, seen, lamp("FL11"))})  # fmt: skip
     assert not (tmp_path / "e.h5").exists()
+
+
+def test_a_coloured_ball_is_taken_out_of_the_light_before_charts_and_lamps_are_compared_with_it(tmp_path, seen):
+    """It reflects red light six times as well as blue; the room is white, under one lamp."""
+    place(tmp_path, seen, "D65")
+    with store.create(tmp_path / "linear.h5", store.Provenance("test")) as out:
+        response = np.broadcast_to((lamp("D65") * spectrum("TCS20")) @ seen.sensitivity.T, (60, 60, 6))
+        out.write("response", response.astype("f4"), units="1", dims="row,column,band", quantity="response")
+        for mask, value in (("valid", 1), ("clipped", 0)):
+            out.write(mask, np.full((60, 60), value, np.uint8), units="1", dims="row,column", quantity=mask)
+        out.attribute("filters", list(seen.calibration.filters))
+    ball = {"kind": "mirror_ball", "centre_px": [29.5, 29.5], "radius_px": 29.0, "camera_azimuth_deg": 0.0,
+            "camera_elevation_deg": 0.0, "roll_deg": 0.0, "reflectance_factor": "TCS20"}  # fmt: skip
+    given = {
+        "source": made(CapturesSource | MirrorBallSource, ball), "image": made(Size, {"width": 16, "height": 8}),
+        "room_charts": {"desk": photographed(tmp_path, seen, lamp("D65"))}, "lamps": ["D65"],
+    }  # fmt: skip
+    found, _ = prepared(tmp_path, **given)
+    assert np.abs(found - lamp("D65")).mean() < 0.03
+    with pytest.raises(InputError, match="nowhere in the panorama"):
+        prepared(tmp_path, **given | {"room_charts": {"desk": photographed(tmp_path, seen, lamp("FL11"))}})
 
 
 def test_a_mirror_ball_needs_the_size_of_its_picture(tmp_path, seen):
