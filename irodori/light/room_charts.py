@@ -9,7 +9,7 @@ is subtracted from that on another without negative values, the rest is closer t
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,7 @@ _FLOOR = 0.02  # values of a spectrum below this share of its mean count as nois
 _MAX_INVALID = 0.05  # largest share of invalid samples of a patch; patches with more are not used
 _LEAST_WHOLE = 0.75  # smallest share of the patches that must be usable
 _VECTORS = 8  # principal vectors of reflectances; they represent a chart under any lamp of the CIE to 1.1 %
+_SMALLEST = 1e-3  # relative singular value of reflectances, below which their vectors are lost in the error _NOISE
 _STEPS = 3  # of the joint estimation of lights and response
 _MAX_MISFIT = 0.08  # largest relative RMS misfit of responses; it is above 0.4 for a rotated or mirrored chart
 _MAX_OUTSIDE = 0.05  # largest relative RMS of responses not explained by light from directions of the room
@@ -141,6 +142,22 @@ def require_own_patches(chart: ChartResponses) -> None:
         found = f"patches that answer as no light on them makes them, {misfit:.0%} off"
         accepted = f"the chart of the definition, the right way up and evenly lit, at most {_MAX_MISFIT:.0%} off"
         raise InputError(chart.file, f"room_charts.{chart.name}", found, accepted)
+
+
+def with_misfit(chart: ChartResponses) -> ChartResponses:
+    """Add to the variance what no light explains of the responses: veiling light, a shadow, gloss, a faded patch.
+
+    In each band, the mean square of what the principal vectors of the reflectances leave is compared with its
+    expectation; the excess is added for all patches. It is unknown if there are no more patches than vectors.
+    """
+    vectors, sizes, _ = np.linalg.svd(chart.reflectance, full_matrices=False)
+    principal = vectors[:, sizes > _SMALLEST * sizes[0]]
+    if principal.shape[0] == principal.shape[1]:
+        return chart
+    missed = chart.response - principal @ (principal.T @ chart.response)
+    found = np.square(missed).sum(axis=0) / (principal.shape[0] - principal.shape[1])
+    expected = (chart.variance + np.square(_NOISE * chart.response)).mean(axis=0)
+    return replace(chart, variance=chart.variance + np.maximum(found - expected, 0.0))
 
 
 def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> tuple[np.ndarray, np.ndarray]:
@@ -284,6 +301,6 @@ def recovery_with(
         require_own_patches(chart)
     if charts:
         require_in_room(charts, directions if mirror is None else directions.before(mirror, model, prior))
-        model, lights = lights_on(charts, model, prior)
+        model, lights = lights_on([with_misfit(chart) for chart in charts], model, prior)
         prior = room_prior(lights, prior)
     return LightRecovery.of_room(model if mirror is None else model.through(mirror), directions, prior)

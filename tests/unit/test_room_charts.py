@@ -26,6 +26,7 @@ from irodori.light.room_charts import (
     read_room_charts,
     recovery_with,
     room_prior,
+    with_misfit,
 )
 from irodori.light.stage import prepare_environment
 from irodori.material.principal_components.basis_count import CompressOptions
@@ -166,6 +167,31 @@ def test_charts_are_compared_with_the_light_before_a_golden_mirror(seen):
         with pytest.raises(InputError, match="nowhere in the panorama") as caught:
             recovery_with([desk, chart_under(seen, lamp(name), name="window")], model, room, prior_without(), GOLD)
         assert caught.value.field == "room_charts.window"
+
+
+def shadowed(response: np.ndarray) -> np.ndarray:
+    """A tenth less light on the lowest row."""
+    return response * np.where(np.arange(24) < 18, 1.0, 0.9)[:, None]
+
+
+@pytest.mark.parametrize(
+    "spoilt", [lambda response: response + 0.03 * response.max(axis=0), shadowed], ids=["veiling light", "shadow"]
+)
+def test_what_no_light_explains_of_a_chart_is_in_its_variance(seen, spoilt):
+    """Such a chart is not refused; it then tells less, and not something else."""
+    model = with_exact_rig_lamp(ResponseModel.of(seen.calibration))
+    off: dict[str, list] = {"sound": [], "spoilt": []}
+    for seed, name in enumerate(LAMPS):
+        lights, sound = WALLS * lamp(name), chart_under(seen, lamp(name), seed)
+        assert with_misfit(sound).variance == pytest.approx(sound.variance, abs=(2e-3 * sound.response.max()) ** 2)
+        bad = replace(sound, response=spoilt(sound.response))
+        added = np.sqrt((with_misfit(bad).variance - bad.variance) / np.square(bad.response.max(axis=0)))
+        assert (added > 5e-3).all() and (added < 3e-2).all()
+        room = room_of(seen, lights)
+        for how, chart in {"sound": sound, "spoilt": bad}.items():
+            off[how].append(error(recovery_with([chart], model, room, prior_without(name)), room, lights))
+    # Taken at its word, it makes the colours five times worse, or more.
+    assert np.mean(off["spoilt"]) < 3.0 * np.mean(off["sound"])
 
 
 @pytest.mark.stability(stage="light", case="a lamp outside the frame")
