@@ -1163,7 +1163,7 @@ class LessonLight(Definition):
     #: Spectrum of the light; if absent, as captured.
     illuminant: LessonIlluminant | None = None
 
-    #: Lamps beside the room; four at most have a size.
+    #: Lamps beside the room; with the scene's own lights at most eight.
     lamps: tuple[LessonLamp, ...] = ()
 
 
@@ -1171,7 +1171,7 @@ class LessonLight(Definition):
 class LessonPose(Definition):
     """One object in its place."""
 
-    #: Name of an object of the scene.
+    #: Name of an object or body of the scene.
     name: str
 
     #: Where its centre stands, x, y, z, in mm; its own place where absent.
@@ -1238,8 +1238,8 @@ class LessonStep(Definition):
     #: What the picture is compared with; nothing if absent.
     compare: LessonComparison | None = None
 
-    #: Name of the observer whose colour matching counts, as the page lists it.
-    observer: str | None = None
+    #: Name of the observer whose colour matching counts.
+    observer: Literal["CIE 1931 2°", "CIE 1964 10°", "CIE 2015 2°", "CIE 2015 10°"] | None = None
 
     #: Colour vision deficiency that is simulated.
     deficiency: Literal["protan", "deutan", "tritan"] | None = None

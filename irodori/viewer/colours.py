@@ -1,5 +1,7 @@
 """Tables of the illuminants, observers, displays and colour deficiencies that a classroom page offers."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
@@ -34,11 +36,11 @@ OBSERVERS = {
 DEFICIENCIES = {"protan": "Protanomaly", "deutan": "Deuteranomaly", "tritan": "Tritanomaly"}
 
 
-def illuminants() -> list[dict]:
-    """Return the illuminants, each with its relative spectral power at the 61 wavelengths."""
+def illuminants(further: Iterable[str] = ()) -> list[dict]:
+    """Return the illuminants and further ones by name, each with its relative power at the 61 wavelengths."""
     return [
         {"name": name, "label": label, "power": [float(x) for x in light(name) / light(name).max()]}
-        for name, label in ILLUMINANTS.items()
+        for name, label in (ILLUMINANTS | {name: name for name in further if name not in ILLUMINANTS}).items()
     ]
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.config.models import CollimatedLight, ObjectShape, OrthographicView, PerspectiveView, Scene
-from irodori.config.pages import page_fault, page_rooms, page_views
+from irodori.config.pages import page_fault, page_illuminants, page_rooms, page_views
+from irodori.config.placed_names import object_names
 from irodori.core import store
 from irodori.core.errors import PlainError
 from irodori.core.provenance import config_hash
@@ -189,12 +190,6 @@ def _add_quadrature(planes: StoredPlanes, number: int, parts: FrameParts) -> dic
     return {"samples": [int(s) for s in found.samples]}
 
 
-def _names(scene: Scene) -> list[str]:
-    """Return a unique name for each object and body."""
-    given = [item.object for item in scene.objects] + [f"body-{i + 1}" for i in range(len(scene.bodies))]
-    return [f"{name}#{given[: i + 1].count(name)}" if name in given[:i] else name for i, name in enumerate(given)]
-
-
 def page_data(sources: SceneSources) -> PageData:
     """Return header, planes and rooms from which the page of a scene is written.
 
@@ -243,9 +238,10 @@ def page_data(sources: SceneSources) -> PageData:
         rows = {"behind": int(objects.behind[i]), "through": int(objects.through[i])}
         entries[i] |= {key: row for key, row in rows.items() if row >= 0} | {"map": maps[i]}
     turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
+    names = object_names(scene)
     for i, shape in enumerate(add_shapes(planes, placements)):
         entries[i] |= shape | {
-            "name": _names(scene)[i],
+            "name": names[i],
             "rotation_deg": [float(x) for x in turns[i]],
             "filled_fraction": float(filled[i]),
         }
@@ -275,7 +271,7 @@ def page_data(sources: SceneSources) -> PageData:
         "least_throughput": sources.least_throughput,
         "ambient": has_shadows(scene),
         "quadrature": None if is_grey(objects) else [_add_quadrature(planes, i, room) for i, room in enumerate(rooms)],
-        "illuminants": colours.illuminants(),
+        "illuminants": colours.illuminants(page_illuminants(scene)),
         "observers": colours.observers(),
         "daylight": colours.daylight(),
         "unit_luminance": float(weights[1] @ light("D65")),

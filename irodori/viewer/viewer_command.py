@@ -58,12 +58,13 @@ def write_scene(name: str, output: Path | None) -> Path:
         If there is no such scene, or a result is missing.
     """
     from irodori.config.pages import page_rooms, page_views
+    from irodori.config.placed_names import materials_of
     from irodori.export.export_sources import result
     from irodori.viewer.stage import SceneSources, export_viewer
 
     loaded = load_definitions(read_yaml(_CONFIG) | {"make": {"scenes": [name]}}, Path())
     scene = loaded.scenes[name]
-    files = [Path(f"results/{item.object}/material.h5") for item in scene.objects]
+    files = [Path(f"results/{item}/material.h5") for item in materials_of(scene)]
     lights = [Path(f"results/environments/{room}.h5") for room in page_rooms(scene)]
     for file in (*files, *lights):
         result(file)

@@ -2,15 +2,22 @@
 
 import base64
 
+import numpy as np
 import pytest
 import yaml
 from definitions import ROOT, load
+from pages import room, sources
 
 from irodori.config.definition import as_plain
-from irodori.config.pages import page_rooms
+from irodori.config.pages import MOST_LAMPS, page_fault, page_rooms
+from irodori.config.placed_names import object_names
 from irodori.config.scene_files import SceneFiles
+from irodori.config.validation import load_schema
 from irodori.core.errors import InputError
+from irodori.spectra.published import light as published_light
+from irodori.viewer import colours
 from irodori.viewer.lesson import lesson_for_page
+from irodori.viewer.page_data import page_data
 
 STEP = {"title": {"en": "One"}, "text": {"en": "Words."}}
 PNG = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR42mNgAAAAAgAB4iG8MwAAAABJRU5ErkJggg==")
@@ -35,7 +42,9 @@ FAULTS = [
     ({"light": {"illuminant": {"name": "D66"}}}, "lesson.steps[0].light.illuminant.name", "D65"),
     ({"light": {"lamps": [{**LAMP, "illuminant": {"name": "sun"}}]}},
      "lesson.steps[0].light.lamps[0].illuminant.name", "D65"),
-    ({"light": {"lamps": [LAMP] * 5}}, "lesson.steps[0].light.lamps", "at most 4"),
+    ({"light": {"lamps": [LAMP] * 9}}, "lesson.steps[0].light.lamps", "0 to 8"),
+    ({"light": {"illuminant": {"power": [0.0] * 61}}}, "lesson.steps[0].light.illuminant.power", "above 0"),
+    ({"observer": "CIE 1931"}, "lesson.steps[0].observer", "CIE 1931 2°"),
     ({"compare": {"mode": "wipe", "light": {"illuminant": {"name": "B6"}}}},
      "lesson.steps[0].compare.light.illuminant.name", "FL2"),
     ({"compare": {"mode": "blend"}}, "lesson.steps[0].compare.mode", "metamerism"),
@@ -51,6 +60,52 @@ def test_a_faulty_step_is_refused_in_one_sentence(root, step, field, words):
         with_step(root, **step)
     assert str(refused.value).startswith(str(refused.value.file)) and "still-life.yaml" in str(refused.value)
     assert refused.value.field == field and words in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_step_has_no_more_lamps_with_the_scenes_own_lights_than_the_page_can_draw(root):
+    file = root / "config/scenes/still-life.yaml"
+    far = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": 0, "elevation_deg": 45, "irradiance": 1.0}
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    file.write_text(yaml.safe_dump(content | {"lights": [far] * 3}), encoding="utf-8")
+    assert with_step(root, light={"lamps": [LAMP] * 5})
+    with pytest.raises(InputError, match="9 lamps with the scene's own lights; accepted: at most 8 together"):
+        with_step(root, compare={"mode": "wipe", "light": {"lamps": [LAMP] * 6}})
+    shader = (ROOT / "irodori/viewer/page/renderer.js").read_text(encoding="utf-8")
+    assert f"MOST_LAMPS = (Irodori.LAMPS = {MOST_LAMPS})" in shader
+    file.write_text(yaml.safe_dump({**content, "lights": [far] * 9}), encoding="utf-8")
+    field, found, _ = page_fault(load(root, scenes=["still-life"]).scenes["still-life"])
+    assert (field, found) == ("lights", "9 lights")
+
+
+def test_observers_of_lessons_are_those_of_the_page(root):
+    for name in colours.OBSERVERS:
+        assert with_step(root, observer=name)
+    (accepted,) = [one["enum"] for one in _blocks(load_schema("scene")) if "CIE 1931 2°" in one.get("enum", ())]
+    assert accepted == list(colours.OBSERVERS)
+
+
+def _blocks(schema):
+    """Yield all blocks of a schema."""
+    for value in schema.values() if isinstance(schema, dict) else schema if isinstance(schema, list) else ():
+        yield from _blocks(value)
+    if isinstance(schema, dict):
+        yield schema
+
+
+def test_the_page_names_bodies_as_the_checks_do_and_carries_the_illuminants_of_its_lesson(tmp_path):
+    body = {
+        "shape": {"kind": "sphere", "radius_mm": 9.0},
+        "position_mm": [60.0, 0.0, 9.1],
+        "material": {"spectrum": "TCS3"},
+    }
+    light = {"illuminant": {"name": "FL3.1"}, "lamps": [{**LAMP, "illuminant": {"name": "HP1"}}]}
+    lesson = {"title": {"en": "One"}, "steps": [{**STEP, "compare": {"mode": "wipe", "light": light}}]}
+    given = sources(tmp_path, room(), bodies=[body], lesson=lesson)
+    header = page_data(given).header
+    assert [one["name"] for one in header["objects"]] == object_names(given.scene) == ["ball", "plate", "bodies[0]"]
+    found = {one["name"]: np.array(one["power"]) for one in header["illuminants"]}
+    assert list(found) == [*colours.ILLUMINANTS, "FL3.1", "HP1"]
+    np.testing.assert_allclose(found["FL3.1"], published_light("FL3.1") / published_light("FL3.1").max())
 
 
 def test_pictures_of_steps_are_carried_in_the_page(root):

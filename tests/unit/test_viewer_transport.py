@@ -253,7 +253,7 @@ def test_a_leaf_shows_its_back_and_what_passes_through(seen):
                const {object, reflectance} = Irodori.renderer.probe(state, x * width, y * height);
                return [object, Array.from(reflectance)]; }"""
     name, reflectance = page.page.evaluate(probe, [state, (column + 0.5) / 64, (row + 0.5) / 48])
-    assert name == "body-1"
+    assert name == "bodies[0]"
     np.testing.assert_allclose(reflectance, spectrum("TCS56"), atol=2e-3)
     for place in ("objects[2].behind", "sides[0].through"):
         given = f"(row) => {{ Irodori.renderer.data.header.{place} = row; }}"

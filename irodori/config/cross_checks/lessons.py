@@ -3,7 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from irodori.config.models import LessonLight, LessonStep, NamedIlluminant, Scene
+from irodori.config.models import DrawnIlluminant, LessonLight, LessonStep, NamedIlluminant, Scene
+from irodori.config.pages import MOST_LAMPS
 from irodori.config.placed_names import object_names
 from irodori.config.validation import suggest
 from irodori.core.errors import InputError, is_file
@@ -12,12 +13,13 @@ from irodori.spectra.published_names import ILLUMINANTS
 #: Media types of a lesson's pictures, by their first bytes.
 PICTURE_KINDS = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _MOST_BYTES = 1_000_000
-#: Most lamps with a size that the page's renderer supports at once.
-_MOST_BALLS = 4
 
 
 def check_lesson(scene: Scene, root: Path, file) -> None:
-    """Raise an error for a lesson that names a view, object, illuminant or picture that does not exist.
+    """Raise an error for a lesson that the page would refuse.
+
+    It names a view, object, illuminant or picture that does not exist, draws a light without power, or has more lamps
+    than the page can show.
 
     Raises
     ------
@@ -34,9 +36,9 @@ def check_lesson(scene: Scene, root: Path, file) -> None:
                 raise InputError(file, f"{field}.camera", "a camera beside the view", "one of the two")
         for number, pose in enumerate(step.objects):
             _check_name(pose.name, names, file, f"{field}.objects[{number}].name")
-        _check_light(step.light, file, f"{field}.light")
+        _check_light(scene, step.light, file, f"{field}.light")
         if step.compare is not None:
-            _check_light(step.compare.light, file, f"{field}.compare.light")
+            _check_light(scene, step.compare.light, file, f"{field}.compare.light")
         _check_picture(step, root, file, f"{field}.picture")
 
 
@@ -46,15 +48,18 @@ def _check_name(name: str, known: Iterable[str], file, field: str) -> None:
         raise InputError(file, field, f"{name}, which is not there", suggest(name, listed))
 
 
-def _check_light(light: LessonLight, file, field: str) -> None:
-    balls = sum(lamp.size_mm > 0 for lamp in light.lamps)
-    if balls > _MOST_BALLS:
-        raise InputError(file, f"{field}.lamps", f"{balls} lamps with a size", f"at most {_MOST_BALLS}, and points")
+def _check_light(scene: Scene, light: LessonLight, file, field: str) -> None:
+    lamps = len(scene.lights) + len(light.lamps)
+    if light.lamps and lamps > MOST_LAMPS:
+        found = f"{lamps} lamps with the scene's own lights"
+        raise InputError(file, f"{field}.lamps", found, f"at most {MOST_LAMPS} together")
     named = [(light.illuminant, f"{field}.illuminant")]
     named += [(lamp.illuminant, f"{field}.lamps[{index}].illuminant") for index, lamp in enumerate(light.lamps)]
     for illuminant, where in named:
         if isinstance(illuminant, NamedIlluminant):
             _check_name(illuminant.name, ILLUMINANTS, file, f"{where}.name")
+        if isinstance(illuminant, DrawnIlluminant) and not any(illuminant.power):
+            raise InputError(file, f"{where}.power", "61 zeros", "a power above 0 at one wavelength at least")
 
 
 def _check_picture(step: LessonStep, root: Path, file, field: str) -> None:

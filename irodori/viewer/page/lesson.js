@@ -135,9 +135,17 @@ window.Irodori = window.Irodori || {};
   I.givenPictures = (lesson) =>
     lesson.steps.filter((one) => one.given_here).map((one) => [one.picture_file, one.picture]);
 
-  // ---- YAML: strings as in JSON, which is YAML; lists of numbers in one line
+  // ---- YAML 1.1: strings as in JSON, with what YAML does not print escaped; lists of numbers in one line
 
-  const scalar = (value) => (typeof value === "number" ? String(Number(value.toPrecision(7))) : JSON.stringify(value));
+  // 1e-7 would be a text there, and 1.0e-7 is a number.
+  const numeral = (value) => String(Number(value.toPrecision(7))).replace(/^(-?\d+)e/, "$1.0e");
+  const quoted = (value) =>
+    JSON.stringify(value.replace(/\p{Surrogate}/gu, "\ufffd")).replace(
+      /[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]/g,
+      (one) => "\\u" + one.charCodeAt(0).toString(16).padStart(4, "0"),
+    );
+  const scalar = (value) =>
+    typeof value === "number" ? numeral(value) : typeof value === "string" ? quoted(value) : JSON.stringify(value);
 
   function lines(value, indent) {
     const pad = " ".repeat(indent);

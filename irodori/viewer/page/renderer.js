@@ -4,7 +4,7 @@ var Irodori = Irodori || {};
 
 (function () {
   // Directions to a ball of light: few where it is seen whole, many where something hides a part of it.
-  const MOST_LAMPS = 8,
+  const MOST_LAMPS = (Irodori.LAMPS = 8), // also MOST_LAMPS in irodori/config/pages.py
     FEW = 16,
     MANY = 512,
     ROW = 12;

@@ -10,8 +10,6 @@ window.Irodori = window.Irodori || {};
   const DEFICIENCIES = ["protan", "deutan", "tritan"];
   const FAR = 1e6;
   I.choices = { modes: MODES, overlays: OVERLAYS, deficiencies: DEFICIENCIES };
-  // The most lamps of one light.
-  I.LAMPS = 6;
 
   I.clone = (value) => JSON.parse(JSON.stringify(value));
   I.newPage = (state) => ({ step: null, state: I.clone(state), compare: null, probes: [], ruler: [] });
@@ -109,8 +107,8 @@ window.Irodori = window.Irodori || {};
     else {
       numbers(field + ".power", value.power, 61, 0, FAR);
       if (!value.power.some((one) => one > 0)) throw refusal(field + ".power", 0, "> 0");
-      if (typeof value.label !== "string" || value.label.length > 100)
-        throw refusal(field + ".label", value.label, "a name");
+      const letters = typeof value.label === "string" ? [...value.label].length : 0;
+      if (letters < 1 || letters > 100) throw refusal(field + ".label", value.label, "a name");
     }
   }
 

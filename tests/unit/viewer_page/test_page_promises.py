@@ -13,8 +13,11 @@ from definitions import ROOT
 from double_pages import PAGE, close, header_of, write_double
 from PIL import Image
 
+from irodori.config.cross_checks.lessons import check_lesson
 from irodori.config.models import Scene
+from irodori.config.pages import MOST_LAMPS
 from irodori.config.validation import validate
+from irodori.core.yaml_files import read_yaml
 from irodori.viewer.lesson import lesson_for_page
 
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
@@ -350,6 +353,47 @@ def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path
     assert close(again["state"]["camera"], shown["state"]["camera"])
     assert again["state"]["objects"] == shown["state"]["objects"]
     assert again["compare"] == shown["compare"]
+
+
+def test_the_text_of_a_lesson_is_read_back_as_it_was(visit, tmp_path):
+    """YAML 1.1 takes 1e-7 for a text, and does not print some characters."""
+    numbers = [1e-7, -2e-15, 1.5e-9, 1e21, 0.25, 3, 0]
+    words = {"en": 'a\u2028\x85\x7f\xa0é😀 "x" # \t\\', "ja": "a: b\n\n  c\r\n'd'"}
+    lesson = {
+        "title": words,
+        "steps": [{"title": words, "text": words, "numbers": numbers, "at": 1e-7, "visible": True}],
+    }
+    text = visit().page.evaluate("(lesson) => Irodori.lessonYaml(lesson)", lesson)
+    (tmp_path / "lesson.yaml").write_bytes(text.encode())
+    assert read_yaml(tmp_path / "lesson.yaml") == {"lesson": lesson}
+    half = visit().page.evaluate("() => Irodori.lessonYaml({title: {en: 'a\\ud83d'}, steps: []})")
+    assert yaml.safe_load(half)["lesson"]["title"]["en"] == "a\ufffd"
+
+
+def test_lamps_are_added_until_the_page_can_draw_no_more_and_a_light_needs_a_name(visit):
+    one = visit()
+    one.page.locator("#tab-light").click()
+    for _ in range(MOST_LAMPS):
+        one.page.locator("#add-lamp").click()
+    assert one.page.locator("#add-lamp").is_disabled()
+    page = one.state()
+    words = {"title": {"en": "One"}, "text": {"en": "Words."}}
+    export = (
+        "([page, words, base]) => Irodori.lessonYaml("
+        "{title: words.title, steps: [Irodori.stepOfPage(page, words, base)]})"
+    )
+    given = yaml.safe_load(one.page.evaluate(export, [page, words, visit().state()]))
+    whole = yaml.safe_load((ROOT / "config/scenes/still-life.yaml").read_text(encoding="utf-8"))
+    scene = Scene.of(validate({**whole, **given}, "scene", "still-life.yaml"))
+    check_lesson(scene, ROOT, "still-life.yaml")
+    assert [lamp.size_mm for lamp in scene.lesson.steps[0].light.lamps] == [60.0] * MOST_LAMPS
+    page["state"]["light"]["illuminant"] = {"power": [1] * 61, "label": ""}
+    header = {"environments": ["classroom"], "illuminants": []}
+    refused = one.page.evaluate(
+        "([page, header]) => { try { Irodori.checkedPage(page, page, header) } catch (e) { return e.values.field } }",
+        [page, header],
+    )
+    assert refused == "light.illuminant.label"
 
 
 @pytest.mark.heavy
