@@ -93,17 +93,27 @@ def _definition_faults(config: dict, root: Path, first) -> list[InputError]:
     return finder.faults
 
 
-def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE, *, photographs: bool = True) -> Loaded:
-    """Load one definition and those that it requires, for the commands of the rig.
+def load_one(
+    kind: str,
+    name: str,
+    root: Path = Path(),
+    file=_CONFIG_FILE,
+    *,
+    config: dict | None = None,
+    photographs: bool = True,
+) -> Loaded:
+    """Load one definition and those that it requires.
 
     Parameters
     ----------
-    kind : {"objects", "cameras", "environments", "rigs"}
+    kind : {"scenes", "objects", "cameras", "environments", "rigs"}
     name : str
     root : path
         Folder at which relative paths start.
     file : path
         The configuration, which has the folder of the definitions.
+    config : dict, optional
+        Content of the configuration if it is merged of several files, of which `file` is the first.
     photographs : bool
         Whether tables of photographs that a person takes must already exist.
 
@@ -115,8 +125,8 @@ def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE, *, ph
         For the first fault.
     """
     wanted: dict[str, list[str]] = {"scenes": [], "cameras": []}
-    config = {**read_yaml(Path(root) / file), "make": wanted}
-    return _load_definitions(config, Path(root), file, (kind, name), photographs)
+    given = {**(read_yaml(Path(root) / file) if config is None else config), "make": wanted}
+    return _load_definitions(given, Path(root), file, (kind, name), photographs)
 
 
 def _load_definitions(
@@ -177,6 +187,7 @@ class _Loader:
             For an unknown kind.
         """
         loaders = {
+            "scenes": self.scene,
             "objects": self._object,
             "cameras": self.camera,
             "environments": self._environment,

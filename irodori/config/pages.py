@@ -20,7 +20,8 @@ def page_rooms(scene: Scene) -> list[str]:
 def page_illuminants(scene: Scene) -> list[str]:
     """Return the names of the illuminants of a scene's lesson."""
     lights = _lesson_lights(scene)
-    found = [one.illuminant for light in lights for one in (light, *light.lamps)]
+    found = [light.illuminant for light in lights]
+    found += [lamp.illuminant for light in lights for lamp in light.lamps]
     return list(dict.fromkeys(one.name for one in found if isinstance(one, NamedIlluminant)))
 
 

@@ -14,16 +14,21 @@ from irodori.config.capture_table import LENS, noted_hashes, placement_of, read_
 from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
-from irodori.config.models import CapturesSource
+from irodori.config.models import CapturesSource, Object
 from irodori.config.parts import ImperfectObject, PhotographedObject, PlannedObject, PlannedPlate, RigGeometry
 from irodori.geometry.mesh_sources import shape_files
 from irodori.rectification.texture_tiles import tile_rows
 from irodori.spectra.spectral_files import SUFFIXES
 
-__all__ = ["IngestPart", "PhotographSets", "named_tables"]
+__all__ = ["IngestPart", "PhotographSets", "material_definition", "material_files", "named_tables"]
 
 _Part = TypeVar("_Part", bound=Definition)
 
+#: Parts of an object's definition on which its material depends.
+_OF_MATERIAL = (
+    *("shape", "texels", "refractive_index", "lobes", "coat", "mirror_weight", "sheet"),
+    *("level_patch", "markers", "placements"),
+)
 _FOLDERS = {"objects": "results", "cameras": "results/cameras", "environments": "results/environments"}
 _ROLES = {
     "objects": ["object"],
@@ -48,6 +53,16 @@ def named_tables(*values: Any) -> list[str]:
         elif isinstance(value, str) and value.lower().endswith(SUFFIXES):
             found.append(value)
     return found
+
+
+def material_definition(definition: Object) -> dict[str, Any]:
+    """Return the parts of an object's definition on which its material depends, as in the file; None where absent."""
+    return {key: as_plain(getattr(definition, key)) for key in _OF_MATERIAL}
+
+
+def material_files(definition: Object) -> list[str]:
+    """Return the paths of the files that these parts name: meshes, and tables of index and transmittance."""
+    return [*shape_files(definition.shape), *named_tables(definition.refractive_index, definition.sheet)]
 
 
 def _part(kind: type[_Part], whole: Definition) -> _Part:
@@ -254,10 +269,13 @@ class PhotographSets:
         """Return, as a list, the table of an object's refractive index; empty if it has none."""
         return named_tables(self.loaded.objects[wildcards.object].refractive_index)
 
-    def tables_of_surface(self, wildcards) -> list[str]:
-        """Return the tables of an object's refractive index and of its assumed transmittance."""
-        definition = self.loaded.objects[wildcards.object]
-        return named_tables(definition.refractive_index, definition.sheet)
+    def material_definition(self, wildcards) -> dict[str, Any]:
+        """Return the parts of an object's definition on which its material depends."""
+        return material_definition(self.loaded.objects[wildcards.object])
+
+    def material_files(self, wildcards) -> list[str]:
+        """Return the mesh files of an object and the tables of its index and of its assumed transmittance."""
+        return material_files(self.loaded.objects[wildcards.object])
 
     def meshes_of(self, *names: str) -> list[str]:
         """Return the mesh files of the objects with these names."""

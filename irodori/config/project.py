@@ -1,22 +1,30 @@
 """Configuration of a project: the default file, overridden by further files as Snakemake merges them."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from irodori.config.definitions import definition_faults, load_definitions
+from irodori.config.definitions import definition_faults, load_definitions, load_one
 from irodori.config.loaded import Loaded
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
 
-__all__ = ["DEFAULT_FILE", "configuration_files", "inside", "load_project", "project_faults"]
+__all__ = [
+    "DEFAULT_FILE",
+    "configuration_files",
+    "definitions_folder",
+    "inside",
+    "load_named",
+    "load_project",
+    "project_faults",
+]
 
 #: The default configuration, which further files override.
 DEFAULT_FILE = "config/config.yaml"
 
 
-def configuration_files(files: list[str]) -> list[str]:
+def configuration_files(files: Sequence[str]) -> list[str]:
     """Return the default configuration, if it exists, and then further files."""
     default = [DEFAULT_FILE] if Path(DEFAULT_FILE).is_file() else []
     return default + [file for file in files if Path(file) != Path(DEFAULT_FILE)]
@@ -34,6 +42,23 @@ def load_project(files: list[str]) -> Loaded:
     return load_definitions(config, Path(), names)
 
 
+def load_named(kind: str, name: str, files: Sequence[str] = ()) -> Loaded:
+    """Load one definition of a project, and those that it requires; see `irodori.config.definitions.load_one`."""
+    config, names = _project(files)
+    return load_one(kind, name, file=names[0], config=config)
+
+
+def definitions_folder(files: Sequence[str] = ()) -> Path:
+    """Return the folder of a project's definitions.
+
+    Raises
+    ------
+    InputError
+        If a configuration cannot be read.
+    """
+    return Path(str(_project(files)[0].get("definitions", "config")))
+
+
 def project_faults(files: list[str]) -> list[InputError]:
     """Return all faults of definitions and tables, see `irodori.config.definitions.definition_faults`."""
     try:
@@ -43,7 +68,7 @@ def project_faults(files: list[str]) -> list[InputError]:
     return definition_faults(config, Path(), names)
 
 
-def _project(files: list[str]) -> tuple[dict, list[str]]:
+def _project(files: Sequence[str]) -> tuple[dict, list[str]]:
     """Return a project's configuration, merged, and the files that it is merged from."""
     names = configuration_files(files) or [DEFAULT_FILE]
     config: dict = {}

@@ -3,12 +3,13 @@
 import argparse
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from irodori.colour.display import STANDARD, standard_display
 from irodori.config.cross_checks.named_spectra import check_light
+from irodori.config.project import DEFAULT_FILE
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
 from irodori.export.diffuse_picture import (
@@ -47,12 +48,12 @@ class Target(NamedTuple):
     about: str
 
 
-def _result(source: "Source", kind: str) -> Path:
+def _result(source: "Source", kind: str, configs: Sequence[str] = ()) -> Path:
     """Return the path of the picture of a scene's first view; ``kind`` is ``png`` or ``exr``."""
     from irodori.export.export_sources import result
 
     assert source.scene is not None
-    return result(Path(f"results/{source.name}/{next(iter(source.scene.views))}.{kind}"))
+    return result(Path(f"results/{source.name}/{next(iter(source.scene.views))}.{kind}"), configs)
 
 
 def _preview(source: "Source", path: Path, illuminant: str = "D65") -> None:
@@ -80,7 +81,7 @@ def _mitsuba(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
     from irodori.export.mitsuba_scene import add_to_about, write_mitsuba
 
     assert source.scene is not None
-    picture, view = _result(source, "exr"), next(iter(source.scene.views))
+    picture, view = _result(source, "exr", given.configfile), next(iter(source.scene.views))
     write_mitsuba(source, path)
     _preview(source, path)
     found = measure(path, picture, view)
@@ -138,7 +139,7 @@ def export_named(name: str, output: Path | None, given: argparse.Namespace) -> t
         raise PlainError(f"--to: found {given.to!r}; accepted: {', '.join(TARGETS)}.")
     from irodori.export.export_sources import find  # loads the renderers
 
-    target, source = TARGETS[given.to], find(name)
+    target, source = TARGETS[given.to], find(name, given.configfile)
     if source.kind not in target.takes:
         accepted = " or ".join(target.takes)
         raise PlainError(f"--to {given.to}: found the {source.kind} {source.name!r}; accepted: {accepted}.")
@@ -148,7 +149,7 @@ def export_named(name: str, output: Path | None, given: argparse.Namespace) -> t
     if target.suffix and path.suffix.lower() != target.suffix:
         raise InputError(path, "", f"the suffix {path.suffix!r}", f"{target.suffix}, of --to {given.to}")
     if source.kind == "scene":
-        _result(source, "png")  # raises now, not after the work, if the picture for the preview is missing
+        _result(source, "png", given.configfile)  # raises now, not after the work, if it is missing
     path.parent.mkdir(parents=True, exist_ok=True)
     return path, target.write(source, path, given)
 
@@ -178,6 +179,13 @@ def command_parser(prog: str) -> argparse.ArgumentParser:
         nargs="+",
         metavar="LIGHT",
         help="lights of the variants of gltf (D65 A FL11 where absent), or the light of tiff (D65)",
+    )
+    parser.add_argument(
+        "--configfile",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help=f"configuration on top of {DEFAULT_FILE}, as snakemake has it; may be given several times",
     )
     parser.add_argument("--display", choices=STANDARD, default="sRGB", help="whose colours and profile a tiff has")
     parser.add_argument("--interleave", help=f"of ENVI (.img): {', '.join(INTERLEAVES)}; the first where absent")

@@ -4,13 +4,12 @@ import argparse
 import json
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-from irodori.config.definitions import load_definitions
+from irodori.config.project import DEFAULT_FILE, load_named
 from irodori.core.errors import InputError, PlainError, is_file
-from irodori.core.yaml_files import read_yaml
 
-_CONFIG = Path("config/config.yaml")
 _PAYLOAD = re.compile(r'<script type="application/octet-stream" id="payload">([^<]*)</script>')
 
 
@@ -49,25 +48,26 @@ def _shortened(value):
     return [_shortened(item) for item in value] if isinstance(value, list) else value
 
 
-def write_scene(name: str, output: Path | None) -> Path:
+def write_scene(name: str, output: Path | None, configs: Sequence[str] = ()) -> Path:
     """Write a scene's page from the results in the working directory and return its path.
+
+    ``configs`` are configurations on top of the default one.
 
     Raises
     ------
     InputError
-        If there is no such scene, or a result is missing.
+        If there is no such scene, a result is missing, or an object's definition has changed since its material was
+        made.
     """
     from irodori.config.pages import page_rooms, page_views
     from irodori.config.placed_names import materials_of
-    from irodori.export.export_sources import result
+    from irodori.export.export_sources import material_of, result
     from irodori.viewer.stage import SceneSources, export_viewer
 
-    loaded = load_definitions(read_yaml(_CONFIG) | {"make": {"scenes": [name]}}, Path())
+    loaded = load_named("scenes", name, configs)
     scene = loaded.scenes[name]
-    files = [Path(f"results/{item}/material.h5") for item in materials_of(scene)]
-    lights = [Path(f"results/environments/{room}.h5") for room in page_rooms(scene)]
-    for file in (*files, *lights):
-        result(file)
+    files = [material_of(loaded, item, configs) for item in materials_of(scene)]
+    lights = [result(Path(f"results/environments/{room}.h5"), configs) for room in page_rooms(scene)]
     sources = SceneSources(
         name,
         scene,
@@ -87,7 +87,14 @@ def write_scene(name: str, output: Path | None) -> Path:
 def main(arguments: list[str] | None = None, prog: str = "python -m irodori.viewer.viewer_command") -> int:
     """Run the command; return 0, or 2 after an error, which is printed in one sentence."""
     parser = argparse.ArgumentParser(prog=prog, description=__doc__)
-    parser.add_argument("scene", help="name of a scene of config/config.yaml's folder")
+    parser.add_argument("scene", help="name of a scene in the configuration's folder of definitions")
+    parser.add_argument(
+        "--configfile",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help=f"configuration on top of {DEFAULT_FILE}, as snakemake has it; may be given several times",
+    )
     parser.add_argument("--output", type=Path, help="page to write, results/SCENE/viewer.html where absent")
     parser.add_argument("--inspect", action="store_true", help="write nothing: print what the scene's page holds")
     given = parser.parse_args(arguments)
@@ -95,7 +102,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m irodori.view
         if given.inspect:
             print(inspected(given.output or Path(f"results/{given.scene}/viewer.html")))
         else:
-            print(write_scene(given.scene, given.output))
+            print(write_scene(given.scene, given.output, given.configfile))
     except PlainError as error:
         print(error, file=sys.stderr)
         return 2

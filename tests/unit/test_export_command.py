@@ -3,11 +3,14 @@
 import argparse
 import csv
 import json
+import shutil
 
+import h5py
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 import tifffile
+import yaml
 from exported import painted
 from PIL import Image
 from scenes import smooth_sky
@@ -16,11 +19,17 @@ from tm27_files import tm27
 from benchmarks.written_pictures import loss_stated_in
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.colour.display import standard_display
-from irodori.core import store
+from irodori.config.photograph_sets import material_definition, material_files
+from irodori.config.project import load_named
+from irodori.core import custody, store
+from irodori.core.errors import InputError
 from irodori.export.export_command import TARGETS, command_parser, export_named, main
+from irodori.export.export_sources import find
 from irodori.export.gltf_loss import EVEN, HIGHLIGHT, LAMP, SPECTRA, ParsedGltf
 from irodori.export.pictures import write_display_picture, write_spectral_exr
+from irodori.material.made_of import made_of
 from irodori.rendering.stage import write_picture
+from irodori.viewer import viewer_command
 
 OBJECTS = ("tile-plate", "vermilion-sphere", "indigo-sphere", "leaf-sphere")
 #: IEC 61966-2-1, whose white is that of D65.
@@ -102,6 +111,79 @@ def test_an_object_is_exported_with_a_preview_beside_it(project, to):
         assert preview.size == (16, 8) and preview.info["icc_profile"]
         assert np.asarray(preview).std() > 5
     assert not [file for file in (root / "exports").iterdir() if "part" in file.name]
+
+
+def of_today(root, name):
+    """Store today's definition with the small material of an object, as its rule does."""
+    definition = load_named("objects", name).objects[name]
+    own = made_of(material_definition(definition), material_files(definition))
+    file = root / f"results/{name}/material.h5"
+    with h5py.File(file, "r+") as out:
+        out.attrs["made_of"] = "json:" + json.dumps(own)
+    custody.accept(file)
+
+
+def edited(root, name, **keys):
+    file = root / f"config/objects/{name}.yaml"
+    file.write_text(yaml.safe_dump(yaml.safe_load(file.read_text(encoding="utf-8")) | keys), encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["tile-plate", "still-life"])
+def test_a_material_is_refused_after_its_definition_has_changed(project, capsys, name):
+    root, _ = project
+    of_today(root, "tile-plate")
+    edited(root, "tile-plate", description="Other words.")
+    find(name)
+    edited(root, "tile-plate", shape={"kind": "plate", "width_mm": 45.0, "height_mm": 90.0}, lobes=["ggx"])
+    assert main([name, "--to", "gltf"]) == 2
+    said = capsys.readouterr().err
+    assert "made before shape, lobes of config/objects/tile-plate.yaml changed" in said
+    assert "accepted: what 'snakemake --cores 2 results/tile-plate/material.h5' makes" in said and said.count("\n") == 1
+    assert viewer_command.main(["still-life"]) == 2 and "made before shape" in capsys.readouterr().err
+
+
+def test_a_material_is_refused_after_a_table_of_its_definition_has_changed(project):
+    root, _ = project
+    table = "wavelength_nm,n,k\n" + "".join(f"{nm},1.5,0\n" for nm in range(400, 701, 50))
+    (root / "index.csv").write_text(table, encoding="utf-8")
+    edited(root, "tile-plate", refractive_index={"file": "index.csv"})
+    of_today(root, "tile-plate")
+    find("tile-plate")
+    (root / "index.csv").write_text(table.replace("1.5", "1.6"), encoding="utf-8")
+    with pytest.raises(InputError, match="made before files of"):
+        find("tile-plate")
+
+
+def test_definitions_of_another_configuration_are_found_and_its_command_is_named(project, capsys):
+    root, _ = project
+    shutil.copytree(root / "config", root / "mine")
+    (root / "config/config.yaml").unlink()
+    shutil.rmtree(root / "config/objects")
+    (root / "mine.yaml").write_text("definitions: mine\n", encoding="utf-8")
+    assert main(["tile-plate", "--configfile", "mine.yaml", "--to", "tiff"]) == 0
+    (root / "results/tile-plate/material.h5").unlink()
+    capsys.readouterr()
+    for command in (main, viewer_command.main):
+        words = ["still-life", "--to", "gltf"] if command is main else ["still-life"]
+        assert command(["--configfile=mine.yaml", *words]) == 2
+        said = "'snakemake --cores 2 --configfile mine.yaml -- results/tile-plate/material.h5'"
+        assert said in capsys.readouterr().err
+
+
+def test_the_back_of_a_sheet_is_among_the_materials_of_a_page(project, monkeypatch):
+    root, _ = project
+    file = root / "config/scenes/still-life.yaml"
+    scene = yaml.safe_load(file.read_text(encoding="utf-8"))
+    scene["objects"][0]["back"] = "lining"
+    file.write_text(yaml.safe_dump(scene), encoding="utf-8")
+    edited(root, "tile-plate", sheet={"transmittance": 0.2})
+    shutil.copy(root / "config/objects/tile-plate.yaml", root / "config/objects/lining.yaml")
+    shutil.copytree(root / "results/tile-plate", root / "results/lining")
+    given = []
+    monkeypatch.setattr("irodori.viewer.stage.export_viewer", lambda sources, **_: given.append(sources))
+    assert viewer_command.main(["still-life"]) == 0
+    files = [str(path) for path in given[0].materials]
+    assert files == [f"results/{name}/material.h5" for name in (*OBJECTS, "lining")]
 
 
 def test_a_light_is_exported_by_its_name(project):

@@ -4,7 +4,7 @@ rule compress_reflectance:
         lobes=sets.lobe_choice,
         observations=sets.observations_of_sheet,
         levels=sets.levels_of_sheet,
-        user_files=ancient(sets.tables_of_surface),
+        user_files=ancient(sets.material_files),
         calibration=sets.camera_file("results/cameras/{camera}/calibration.h5"),
     output:
         material="results/{object}/material.h5",
@@ -19,13 +19,10 @@ rule compress_reflectance:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        texels=lookup(within=config["objects"], dpath="{object}/texels"),
-        refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
-        mirror_weight=lookup(within=config["objects"], dpath="{object}/mirror_weight"),
+        definition=sets.material_definition,
         compress=lookup(within=config, dpath="compress"),
         lights=lookup(within=config["report"], dpath="lights"),
-        sheet=sets.thin_sheet,
-        user_files=ledger.content(sets.tables_of_surface),
+        user_files=ledger.content(sets.material_files),
         code=code_hash("irodori.material.stage"),
     script:
         "../scripts/compress_reflectance.py"
