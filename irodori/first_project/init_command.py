@@ -13,10 +13,19 @@ from irodori.config.definitions import load_definitions
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
 from irodori.first_project.light_places import lamp_of_poses, read_lamps
-from irodori.first_project.questions import Question, answer, numbers, pose_of_references, positive, shape, word
+from irodori.first_project.questions import (
+    Question,
+    answer,
+    name_in_files,
+    numbers,
+    pose_of_references,
+    positive,
+    shape,
+    word,
+)
 from irodori.first_project.raw_folder import Photograph, photographs
 from irodori.first_project.recognition import Recognised, recognise
-from irodori.first_project.scaffold import Answers, Scaffold, project_name, refuse_existing_project
+from irodori.first_project.scaffold import Answers, Scaffold, refuse_existing_project
 
 _SHOWN_GAPS = 20
 #: Example of a value for the key ``shape``.
@@ -28,12 +37,12 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
 
     What cannot be found in the files and pictures is asked on the terminal, or read from a file of answers. An empty
     answer leaves a gap, marked ?, and irodori check lists these. Existing files are never overwritten. The exit status
-    is 1 if gaps are left or a definition has to be corrected, and 2 if nothing was written.
+    is 1 if gaps are left or a definition has to be corrected, 2 if nothing was written, and 130 after Ctrl-C.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("photographs", help="folder of the RAW files, or one photograph of a colour chart")
     parser.add_argument("--into", default="config", help="folder of definitions to write into (config)")
-    parser.add_argument("--name", help="name of the object; that of the folder where absent")
+    parser.add_argument("--name", help="name of the object, in a to z, 0 to 9 and -; that of the folder where absent")
     lights = "where the lamp of each photograph stood: a light-position file (.lp), or lamps.csv of irodori dome"
     parser.add_argument("--lights", help=lights)
     linear = "the photographs are TIFF or PNG pictures whose numbers go with the light, without a tone curve"
@@ -45,12 +54,19 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
+    except OSError as error:
+        print(f"{error.filename or asked.into}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nstopped; typed answers are not kept, those in a file are (--answers)", file=sys.stderr)
+        return 130
 
 
 def _write(asked: argparse.Namespace) -> int:
     given = read_yaml(asked.answers) if asked.answers else {}
     place = Path(asked.photographs)
-    name = project_name(asked.name or (place.name if place.is_dir() else place.stem))
+    ask = _typed if sys.stdin.isatty() and not asked.answers else None
+    name = _name(asked.name, place, ask)
     # Before the photographs are read, which takes minutes.
     refuse_existing_project(name, asked.into)
     found, timed = photographs(place, asked.linear)
@@ -58,8 +74,7 @@ def _write(asked: argparse.Namespace) -> int:
     if not any(one.role == "chart" for one in recognised):
         looked = f"no ColorChecker of 4 x 6 patches in {len(found)} photographs"
         raise InputError(place, "", looked, "one photograph or more of the whole chart, evenly lit")
-    print(_told(recognised, timed))
-    ask = _typed if sys.stdin.isatty() and not asked.answers else None
+    print(f"name: {name}", _told(recognised, timed), sep="\n")
     answers = _answers(recognised, given, asked, ask)
     folder = place if place.is_dir() else place.parent
     scaffold = Scaffold(name, asked.into, folder, recognised, answers)
@@ -83,6 +98,19 @@ def _write(asked: argparse.Namespace) -> int:
     target = "" if scaffold.has_object else " calibrate"
     print(f"next: snakemake --cores 2 --configfile={shlex.quote(str(scaffold.configuration))}{target}")
     return 0
+
+
+def _name(given: str | None, place: Path, ask: Callable[[str], str] | None) -> str:
+    """Return the name of the project: as given, or that of the folder, or a typed one if this has other letters."""
+    own = place.absolute().name if place.is_dir() else place.stem
+    try:
+        return name_in_files(own if given is None else given)
+    except ValueError as error:
+        question = Question("name", f"Name of the object, because {given or own} cannot be one: {error}", name_in_files)
+        name = answer(question, {}, None, ask)
+        if name is None:
+            raise InputError(place, "--name", repr(own if given is None else given), str(error)) from None
+        return name
 
 
 def _told(recognised: list[Recognised], timed: bool) -> str:

@@ -1,6 +1,7 @@
 """Questions to the user about facts that photographs do not contain: distances, lamp, object and poses."""
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,6 +14,8 @@ GAP = "?"
 #: Shapes that the user may name, with the keys of their sizes, and shapes that are read from a file.
 _SIZES = {"plate": ("width_mm", "height_mm"), "sphere": ("radius_mm",)}
 _FILES = ("mesh",)
+_POINT = ", with a decimal point, and a space between two numbers"
+_LONGEST_NAME = 100
 
 
 @dataclass(frozen=True)
@@ -37,16 +40,44 @@ class Question:
     assumed: str = ""
 
 
+def _words(text: str) -> list[str]:
+    """Split an answer at spaces and commas.
+
+    Raises
+    ------
+    ValueError
+        If one comma alone stands between digits: 90,5 may be two numbers or one with a decimal comma.
+    """
+    if any(re.fullmatch(r"[^,]*\d,\d[^,]*", word) for word in text.split()):
+        raise ValueError("numbers" + _POINT)
+    return text.replace(",", " ").split()
+
+
+def name_in_files(text: str) -> str:
+    """Convert the name of a folder or file to small letters, digits and hyphens.
+
+    Raises
+    ------
+    ValueError
+        If that would drop letters, nothing is left, or the name is too long for files.
+    """
+    found = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+    if not found or not text.isascii() or len(found) > _LONGEST_NAME:
+        raise ValueError(f"a name of the letters a to z, digits and hyphens, at most {_LONGEST_NAME} of them")
+    return found
+
+
 def numbers(count: int) -> Callable[[str], list[float]]:
     """Return a function that reads ``count`` numbers from text; a single number is repeated ``count`` times."""
 
     def read(text: str) -> list[float]:
         try:
-            found = [float(word) for word in text.replace(",", " ").split()]
+            found = [float(word) for word in _words(text)]
         except ValueError:
             found = []
         if len(found) not in (1, count) or not all(map(math.isfinite, found)):
-            raise ValueError(f"one number, or {count} in the order of the photographs" if count > 1 else "one number")
+            which = f"one number, or {count} in the order of the photographs" if count > 1 else "one number"
+            raise ValueError(which + (_POINT if "," in text else ""))
         return found * count if len(found) == 1 else found
 
     return read
@@ -74,7 +105,7 @@ def pose_of_references(text: str) -> Pose:
 
 
 def _two(text: str) -> list[float]:
-    parts = text.replace(",", " ").split()
+    parts = _words(text)
     if len(parts) != 2:
         raise ValueError("two angles, of the light and of the camera, such as 45 0")
     return [numbers(1)(part)[0] for part in parts]
@@ -85,7 +116,7 @@ def shape(text: str) -> dict[str, Any]:
     kind, _, rest = text.strip().partition(" ")
     if kind in _FILES and rest.strip():
         return {"kind": kind, "file": rest.strip(), "unit": "mm"}
-    sizes, keys = rest.replace(",", " ").split(), _SIZES.get(kind, ())
+    sizes, keys = _words(rest), _SIZES.get(kind, ())
     if len(sizes) == 1:
         sizes *= len(keys)  # one number is every size of the shape: a square's
     try:

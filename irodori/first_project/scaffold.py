@@ -2,7 +2,6 @@
 
 import csv
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -74,11 +73,6 @@ class Answers:
     assumed: dict[str, str] = field(default_factory=dict)
 
 
-def project_name(text: str) -> str:
-    """Convert the name of a folder or file to lower-case letters, digits and hyphens."""
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "first"
-
-
 def refuse_existing_project(name: str, into) -> None:
     """Refuse the name of a project that exists, before its photographs are read.
 
@@ -94,8 +88,12 @@ def refuse_existing_project(name: str, into) -> None:
     Raises
     ------
     InputError
-        If one of them exists; the message lists every existing file of a project of this name.
+        If one of them exists; the message lists every existing file of a project of this name. Also if `into` cannot be
+        a folder.
     """
+    nearest = next(path for path in (Path(into), *Path(into).absolute().parents) if path.exists())
+    if not nearest.is_dir():
+        raise InputError(nearest, "", "a file", "a folder of definitions to write into (--into)")
     files = _Files(name, Path(into), has_object=True)
     with_chart_alone = _Files(name, Path(into), has_object=False)
     if any(path.exists() for path in (files.rig, files.configuration, files.table)):

@@ -27,7 +27,7 @@ from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
 from irodori.first_project import init_command
 from irodori.first_project.light_places import lamp_of_poses, read_lamps, read_light_places, write_lamps
-from irodori.first_project.questions import numbers, positive, shape
+from irodori.first_project.questions import name_in_files, numbers, pose_of_references, positive, shape
 from irodori.first_project.raw_folder import Photograph, in_order, photographs
 from irodori.first_project.recognition import recognise
 from irodori.geometry.rig_frame import to_light
@@ -372,6 +372,54 @@ def test_a_terminal_is_asked_until_it_is_understood(seen, taken, monkeypatch, tm
     assert "turn_deg in config/captures/my-plate.csv: 0" in capsys.readouterr().out
 
 
+def test_a_decimal_comma_is_refused_and_not_taken_for_two_numbers(seen, tmp_path, capsys):
+    answers = written(tmp_path / "answers.yaml", ANSWERS | {"shape": "plate 90,5"})
+    assert init(seen, "--answers", answers) == 2
+    assert "accepted: numbers, with a decimal point" in capsys.readouterr().err
+    assert not Path("config").exists()
+
+
+def test_a_folder_of_another_script_needs_a_name(seen, tmp_path, monkeypatch, capsys):
+    places = [tmp_path / "お皿", tmp_path / "茶碗"]
+    for place in places:
+        place.symlink_to(seen)
+    answers = written(tmp_path / "answers.yaml", ANSWERS)
+    assert init(places[0], "--answers", answers) == 2
+    said = capsys.readouterr().err
+    assert "found 'お皿'; accepted: a name of the letters a to z, digits and hyphens" in said and said.count("\n") == 1
+    assert init(places[0], "--answers", answers, "--name", "お皿") == 2
+    for place, name in zip(places, ("plate", "Bowl 2"), strict=True):
+        assert init(place, "--answers", answers, "--name", name) == 0
+    assert "name: bowl-2\n" in capsys.readouterr().out
+    assert Path("config/plate.yaml").is_file() and Path("config/bowl-2.yaml").is_file()
+    # On a terminal it is asked for, and nothing is written without one.
+    asked = iter(["茶碗", "bowl", *[""] * 20])
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", lambda words: next(asked))
+    assert init(places[1]) == 1 and Path("config/bowl.yaml").is_file()
+    monkeypatch.setattr("builtins.input", lambda words: "")
+    assert init(places[1]) == 2
+
+
+def test_what_cannot_be_written_and_a_stop_are_one_sentence(seen, tmp_path, monkeypatch, capsys):
+    answers = written(tmp_path / "answers.yaml", ANSWERS)
+    for into in ("answers.yaml", "answers.yaml/deeper", "x" * 300):
+        assert init(seen, "--answers", answers, "--into", into) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and said.startswith((str(tmp_path / "answers.yaml"), into))
+    assert init(seen, "--answers", answers, "--name", "x" * 260) == 2
+    assert "at most 100 of them" in capsys.readouterr().err
+
+    def stopped(words):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", stopped)
+    assert init(seen) == 130
+    assert capsys.readouterr().err == "\nstopped; typed answers are not kept, those in a file are (--answers)\n"
+    assert not Path("config").exists()
+
+
 @pytest.mark.parametrize(
     ("read", "text", "value"),
     [
@@ -379,6 +427,17 @@ def test_a_terminal_is_asked_until_it_is_understood(seen, taken, monkeypatch, tm
         (numbers(3), "1, 2 3", [1.0, 2.0, 3.0]),
         (numbers(3), "1 2", None),
         (numbers(1), "nan", None),
+        (numbers(3), "0,20,35", [0.0, 20.0, 35.0]),
+        (numbers(2), "45,5", None),
+        (positive, "0,99", None),
+        (pose_of_references, "45,5", None),
+        (shape, "plate 90,5", None),
+        (shape, "sphere 40,5", None),
+        (shape, "plate 90.5", {"kind": "plate", "width_mm": 90.5, "height_mm": 90.5}),
+        (name_in_files, "My plate 2", "my-plate-2"),
+        (name_in_files, "お皿", None),
+        (name_in_files, "Teller für 2", None),
+        (name_in_files, "x" * 260, None),
         (positive, "0", None),
         (shape, "sphere 30", {"kind": "sphere", "radius_mm": 30.0}),
         (shape, "plate 90", {"kind": "plate", "width_mm": 90.0, "height_mm": 90.0}),
