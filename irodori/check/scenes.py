@@ -1,4 +1,4 @@
-"""Check of scenes: views that show nothing, and things that float or overlap."""
+"""Check of scenes: views that show nothing, and things that are hidden, float or overlap."""
 
 import math
 from collections.abc import Iterator
@@ -45,6 +45,10 @@ def of_scene(loaded: Loaded, name: str) -> Iterator[Finding]:
         for thing, placement in things.items():
             if isinstance(view, PerspectiveView) and encloses(placement, np.array(view.position_mm)):
                 yield Finding(True, str(InputError(file, *eye_inside(label, thing))))
+            eye = np.array([view.position_mm])
+            if placement.shape.is_endless and _is_behind(eye, placement) and _may_be_seen(placement, view, scene.image):
+                text = f"views.{label}: the eye is behind {thing}, whose back is black and hides all in front of it"
+                yield Finding(False, f"{file}: {text}")
     for index, body in enumerate(scene.bodies):
         fault = None if scene.allow_energy_gain else body_fault(index, body)
         if fault is not None:
@@ -118,9 +122,16 @@ def _of_places(things: dict[str, Placement], file: str) -> Iterator[Finding]:
         smaller = min(t.shape.reach_mm * t.scale for t in (a, b) if not t.shape.is_endless)
         if depth > _DEEP * smaller:
             yield Finding(False, f"{file}: {one} and {other} stand {depth:.3g} mm in each other")
+    planes = {label: thing for label, thing in things.items() if thing.shape.is_endless}
     for label, thing in things.items():
+        if thing.shape.is_endless:
+            continue
         reach = thing.shape.reach_mm * thing.scale
-        if not thing.shape.is_endless and gaps[label] and min(gaps[label]) > floats[label] * reach:
+        points = thing.points(thing.shape.samples(_POINTS)[0])
+        behind = [plane for plane, placement in planes.items() if _is_behind(points, placement, _FLUSH * reach)]
+        if behind:
+            yield Finding(False, f"{file}: {label} is wholly behind {behind[0]} and hidden by it; a floor faces +z")
+        elif gaps[label] and min(gaps[label]) > floats[label] * reach:
             yield Finding(False, f"{file}: {label} floats {min(gaps[label]):.3g} mm from all else")
 
 
@@ -141,6 +152,11 @@ def _between(a: Placement, b: Placement) -> tuple[float, float]:
 
 def _is_ball(thing: Placement) -> bool:
     return thing.shape.is_convex and thing.shape.is_curved
+
+
+def _is_behind(points: np.ndarray, plane: Placement, by_mm: float = 0.0) -> bool:
+    """Whether points (n, 3) all lie behind an endless plane, which is opaque and black from there."""
+    return bool(((points - plane.translation_mm) @ plane.rotation[:, 2] < -by_mm).all())
 
 
 def _is_flush(a: Placement, b: Placement) -> bool:

@@ -168,6 +168,29 @@ def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch)
         assert any(line.startswith(start) and words in line for line in lines), (start, lines)
 
 
+def test_what_an_endless_plane_hides_is_named(project, tmp_path, capsys, monkeypatch):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    scene = copy.deepcopy(SCENE)
+    floor = {"shape": {"kind": "plane"}, "position_mm": [0, 0, -1], "material": {"spectrum": "TCS71"}}
+    ball = SCENE["bodies"][0] | {"position_mm": [0, 0, -40]}
+    scene["bodies"] = [floor, ball]
+    scene["views"]["cellar"] = SCENE["views"]["front"] | {"position_mm": [0, -200, -100]}
+    write(folder, {"scenes/desk.yaml": scene})
+    status, lines = said(folder, capsys)
+    found = [line for line in lines if line.startswith("warning: config/scenes/desk.yaml")]
+    assert status == 0 and [line.partition("yaml: ")[2] for line in found] == [
+        "views.cellar: the eye is behind bodies[0] (plane), whose back is black and hides all in front of it",
+        "bodies[1] (sphere) is wholly behind bodies[0] (plane) and hidden by it; a floor faces +z",
+    ]
+    # Over the floor, turned away from it, or lying in it, nothing is hidden.
+    scene["views"]["cellar"]["target_mm"] = [0, -200, -400]
+    scene["bodies"][1] = SCENE["bodies"][0] | {"position_mm": [0, 0, 40]}
+    floor["position_mm"][2] = SCENE["objects"][0]["position_mm"][2]
+    write(folder, {"scenes/desk.yaml": scene})
+    assert not [line for line in said(folder, capsys)[1] if "behind" in line]
+
+
 def test_white_reference_and_chart_in_each_other_s_place_are_named(project, tmp_path, capsys, monkeypatch):
     folder = shutil.copytree(project, tmp_path / "project")
     monkeypatch.chdir(folder)
