@@ -71,6 +71,14 @@ MISTAKES = (
         "objects that stand in each other", DEFINITIONS, WARNED, "mm in each other", _SCENES,
         (f"{_CHECK}::test_all_mistakes_are_listed_at_once",),
     ),
+    Mistake(
+        "object behind an endless plane, as under the table", DEFINITIONS, WARNED, "is wholly behind", _SCENES,
+        (f"{_CHECK}::test_what_an_endless_plane_hides_is_named",),
+    ),
+    Mistake(
+        "eye behind an endless plane", DEFINITIONS, WARNED, ": the eye is behind", _SCENES,
+        (f"{_CHECK}::test_what_an_endless_plane_hides_is_named",),
+    ),
     # What the table of photographs says.
     Mistake(
         "angles in radians, with three decimals or more", TABLE, REFUSED, "in radians", _UNITS,

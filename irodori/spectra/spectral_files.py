@@ -43,6 +43,8 @@ _ADJECTIVES = frozenset({"relative", "spectral", "radiant"})
 _NAMED = 8  # spectra of a table that a message names
 
 _WAVELENGTH = re.compile(r"(wave[ _-]?length|lambda|λ|wl|nm)\b.*|wavelength_.*", re.IGNORECASE)
+#: Words for numbers of photons in headers and comments, also as photon_flux; Photonics is the name of a firm.
+_PHOTONS = re.compile(r"(?<![a-z])(photons?(flux)?|quanta|quantum flux|[uµμ]mol|micromol)(?![a-z])", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 _COMMENTS = ("#", "//", "%", "!", ";")
 _CSV_WORDS = (
@@ -176,7 +178,7 @@ def filter_row(table: SpectralTable, name: str | None, path) -> list[float]:
 def check_power(table: SpectralTable, path) -> None:
     """Raise an error for a light without power, or negative by more than a spectroradiometer's noise, 1 % of the peak.
 
-    A quantity that the file states must be one of power, not of photons.
+    A quantity that the file states, also in a header or a comment, must be one of power, not of photons.
 
     Raises
     ------
@@ -184,6 +186,8 @@ def check_power(table: SpectralTable, path) -> None:
     """
     accepted = "the power of a light: flux, irradiance, radiance, intensity, exitance or relative"
     _check_quantity(table, _POWERS, accepted, path)
+    if not table.quantity:
+        _refuse_photons(path)
     for name, row in zip(table.names, table.values, strict=True):
         peak = max(row)
         if peak <= 0.0:
@@ -192,6 +196,16 @@ def check_power(table: SpectralTable, path) -> None:
             if value < -_POWER_NOISE * peak:
                 accepted = f"power from {-_POWER_NOISE * peak:g}, a hundredth of the peak under 0"
                 raise InputError(path, f"{name}, {at:g} nm", f"{value:g}", accepted)
+
+
+def _refuse_photons(path) -> None:
+    """Raise an error for a file whose headers or comments speak of numbers of photons."""
+    accepted = "the power of a light, which is the number of photons divided by the wavelength"
+    for line, text in enumerate(read_text(path, accepted).splitlines(), start=1):
+        first = re.split(r"[,;\s]", text.strip())[0]
+        words = text.partition("#")[2] if _NUMBER.fullmatch(first) else text
+        if found := _PHOTONS.search(words):
+            raise InputError(path, f"line {line}", f"{found[0]!r} in {words.strip()[:60]!r}", accepted)
 
 
 def _csv_table(path, suffix: str) -> SpectralTable:

@@ -324,3 +324,27 @@ def test_a_line_of_a_lamp_keeps_its_power_wherever_it_falls(tmp_path):
         assert averaged.sum() * 5.0 == pytest.approx(0.01 * 61 * 5.0 + line.sum(), rel=1e-6)
         # Interpolation, right for a reflectance, gives the line anything from nothing to more than twice its power.
         assert read_spectra(file)[1].sum() * 5.0 != pytest.approx(averaged.sum() * 5.0, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("lamp.csv", "Wavelength [nm],Photon flux [umol]\n"),
+        ("lamp.csv", "wavelength_nm;spectral_photon_flux\n"),
+        ("lamp.csv", "nm,µmol m-2 s-1\n"),
+        ("lamp.spd", "# photon flux\n"),
+        ("lamp.spd", "# PhotonFlux\n"),
+        ("lamp.txt", "; quanta per second\nwavelength value\n"),
+        ("lamp.txt", "380 1 # quantum flux\n"),
+    ],
+)
+def test_numbers_of_photons_are_no_power(tmp_path, name, words):
+    separator = ";" if ";" in words and name.endswith("csv") else "," if name.endswith("csv") else " "
+    rows = "".join(f"{w}{separator}1.5\n" for w in GRID if not words.startswith("380") or w > 380)
+    error = refusal(light, str(write(tmp_path, name, words + rows)))
+    assert error.field.startswith("line 1") and "divided by the wavelength" in error.accepted
+
+
+@pytest.mark.parametrize("words", ["# Hamamatsu Photonics\n", "# quantity: power\n", "# photonic crystal, 3 mol\n"])
+def test_a_firm_of_photonics_measures_power(tmp_path, words):
+    assert light(str(write(tmp_path, "photons.spd", words + spd([1.5] * len(GRID))))).min() > 0.0

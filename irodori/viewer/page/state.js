@@ -208,7 +208,12 @@ window.Irodori = window.Irodori || {};
         .trim()
         .split(/[,;\t ]+/)
         .filter((cell) => cell !== "");
-      if (cells.length < 2 || !/^[-+.\d]/.test(cells[0])) continue;
+      if (cells.length < 2 || !/^[-+.\d]/.test(cells[0])) {
+        // The same words as in irodori/spectra/spectral_files.py.
+        if (/(^|[^a-z])(photons?(flux)?|quanta|quantum flux|[uµμ]mol|micromol)(?![a-z])/i.test(line))
+          throw new I.Refusal("bad_table_photons", { file: label, found: line.trim().slice(0, 40) });
+        continue;
+      }
       const pair = cells.slice(0, 2).map(Number);
       if (!pair.every(Number.isFinite)) throw new I.Refusal("bad_table_row", { file: label, found: line.slice(0, 40) });
       rows.push(pair);

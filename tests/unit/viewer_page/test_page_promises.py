@@ -301,6 +301,15 @@ def test_other_pictures_and_files_are_refused(visit):
         assert one.state() == start
 
 
+def test_a_table_of_photons_is_refused(visit):
+    one = visit()
+    for words in ("Wavelength [nm],Photon flux [umol]", "# photon flux"):
+        one.page.evaluate("document.getElementById('message').textContent = ''")
+        drop(one, "torch.csv", (words + "\n" + "".join(f"{nm},1\n" for nm in range(380, 785, 10))).encode())
+        one.says(f"torch.csv says “{words}”")
+        assert one.state()["state"]["light"]["illuminant"] is None
+
+
 @pytest.mark.heavy
 def test_a_table_of_a_light_becomes_the_light(visit):
     one = visit()
