@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -15,10 +16,15 @@ from written_files import KINDS, PAGE, of_page, of_results, tables
 
 from benchmarks.written_pictures import spectra_in
 from irodori.calibration.verdict import TOLERANCES
+from irodori.config.definitions import load_definitions
+from irodori.config.photograph_sets import material_definition
+from irodori.core.errors import InputError
 from irodori.core.store import open_file
 from irodori.core.units import require_unit
+from irodori.core.yaml_files import read_yaml
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import RegistrationRow, read_rows
+from irodori.material.made_of import made_of, refuse_changed_definition
 from irodori.material.material_file import Material
 from irodori.report.page import typical_gloss_text
 from irodori.viewer.browser import browser_command
@@ -143,6 +149,15 @@ def test_the_fit_uses_the_errors_of_the_registration_and_material_and_report_say
         assert 0.03 < phi < 0.3 and f"{phi:.3f} deg to the half vector, by registration" in page
         log = finished / f"results/logs/fit_brdf/{subject}_000.log"
         assert f"{phi:.3f} deg to the half vector, by registration" in log.read_text()
+
+
+def test_a_material_states_the_definition_that_it_was_made_of(finished):
+    loaded = load_definitions(read_yaml(finished / "config/config.yaml"), finished)
+    for name, definition in loaded.objects.items():
+        now, file = made_of(material_definition(definition), ()), finished / f"results/{name}/material.h5"
+        refuse_changed_definition(file, now, Path(name), "snakemake")
+        with pytest.raises(InputError, match="made before mirror_weight of"):
+            refuse_changed_definition(file, now | {"mirror_weight": 0.9}, Path(name), "snakemake")
 
 
 def test_a_sphere_that_was_turned_over_is_known_on_both_halves(finished):
