@@ -154,7 +154,8 @@ window.Irodori = window.Irodori || {};
         const inner = lines(one, indent + 2);
         return [pad + "- " + inner[0].trimStart(), ...inner.slice(1)];
       });
-    return Object.entries(value).flatMap(([key, one]) => {
+    return Object.entries(value).flatMap(([name, one]) => {
+      const key = /^(no|on|off|yes)$/.test(name) ? quoted(name) : name; // Norwegian would be false
       if (one === null || typeof one !== "object") return [`${pad}${key}: ${scalar(one)}`];
       if (Array.isArray(one) && (one.length === 0 || typeof one[0] === "number"))
         return [`${pad}${key}: [${one.map(scalar).join(", ")}]`];

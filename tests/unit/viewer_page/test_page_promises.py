@@ -367,7 +367,7 @@ def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path
 def test_the_text_of_a_lesson_is_read_back_as_it_was(visit, tmp_path):
     """YAML 1.1 takes 1e-7 for a text, and does not print some characters."""
     numbers = [1e-7, -2e-15, 1.5e-9, 1e21, 0.25, 3, 0]
-    words = {"en": 'a\u2028\x85\x7f\xa0é😀 "x" # \t\\', "ja": "a: b\n\n  c\r\n'd'"}
+    words = {"en": 'a\u2028\x85\x7f\xa0é😀 "x" # \t\\', "ja": "a: b\n\n  c\r\n'd'", "no": "x"}
     lesson = {
         "title": words,
         "steps": [{"title": words, "text": words, "numbers": numbers, "at": 1e-7, "visible": True}],
