@@ -1,5 +1,6 @@
 """Configuration of a project: the default file, overridden by further files as Snakemake merges them."""
 
+import argparse
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ from irodori.core.yaml_files import read_yaml
 
 __all__ = [
     "DEFAULT_FILE",
+    "add_configfile",
     "configuration_files",
     "definitions_folder",
     "inside",
@@ -22,6 +24,17 @@ __all__ = [
 
 #: The default configuration, which further files override.
 DEFAULT_FILE = "config/config.yaml"
+
+
+def add_configfile(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--configfile`` to a command that also takes a name, which the option must not take as a file."""
+    parser.add_argument(
+        "--configfile",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help=f"configuration on top of {DEFAULT_FILE}, as snakemake has it; may be given several times",
+    )
 
 
 def configuration_files(files: Sequence[str]) -> list[str]:

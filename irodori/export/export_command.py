@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from irodori.colour.display import STANDARD, standard_display
 from irodori.config.cross_checks.named_spectra import check_light
-from irodori.config.project import DEFAULT_FILE
+from irodori.config.project import add_configfile
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
 from irodori.export.diffuse_picture import (
@@ -180,13 +180,7 @@ def command_parser(prog: str) -> argparse.ArgumentParser:
         metavar="LIGHT",
         help="lights of the variants of gltf (D65 A FL11 where absent), or the light of tiff (D65)",
     )
-    parser.add_argument(
-        "--configfile",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help=f"configuration on top of {DEFAULT_FILE}, as snakemake has it; may be given several times",
-    )
+    add_configfile(parser)
     parser.add_argument("--display", choices=STANDARD, default="sRGB", help="whose colours and profile a tiff has")
     parser.add_argument("--interleave", help=f"of ENVI (.img): {', '.join(INTERLEAVES)}; the first where absent")
     return parser

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from irodori.config.project import DEFAULT_FILE, load_named
+from irodori.config.project import add_configfile, load_named
 from irodori.core.errors import InputError, PlainError, is_file
 
 _PAYLOAD = re.compile(r'<script type="application/octet-stream" id="payload">([^<]*)</script>')
@@ -88,13 +88,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m irodori.view
     """Run the command; return 0, or 2 after an error, which is printed in one sentence."""
     parser = argparse.ArgumentParser(prog=prog, description=__doc__)
     parser.add_argument("scene", help="name of a scene in the configuration's folder of definitions")
-    parser.add_argument(
-        "--configfile",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help=f"configuration on top of {DEFAULT_FILE}, as snakemake has it; may be given several times",
-    )
+    add_configfile(parser)
     parser.add_argument("--output", type=Path, help="page to write, results/SCENE/viewer.html where absent")
     parser.add_argument("--inspect", action="store_true", help="write nothing: print what the scene's page holds")
     given = parser.parse_args(arguments)
