@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
 from irodori.config.capture_table import LENS, noted_hashes, placement_of, read_captures
-from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
 from irodori.config.models import CapturesSource, Object
@@ -475,11 +474,6 @@ class PhotographSets:
     def observed_tiles(self, wildcards) -> list[str]:
         """Return the observation files of the object in the wildcards, one for each tile."""
         return self.tile_files(wildcards.object, "observations")
-
-    def lobe_choice(self, wildcards) -> list[str]:
-        """Return, as a list, the file with the choice of an object's lobes and coat; empty if both are named."""
-        definition = self.loaded.objects[wildcards.object]
-        return [f"results/{wildcards.object}/lobes.h5"] if AUTO in (*definition.lobes, definition.coat) else []
 
     def photograph_levels(self, wildcards) -> list[str]:
         """Return the file of the lamp's level in an object's photographs; none where nothing is to tell it."""

@@ -68,7 +68,7 @@ class Comparison(NamedTuple):
         return of[0] if self.tells_misfit and of and of[0] > CONTRADICTED else 1.0
 
 
-#: That of an object whose definition names lobes and coat.
+#: That of a material whose lobes no photographs were asked about.
 NOTHING_COMPARED = Comparison()
 
 
@@ -117,20 +117,9 @@ def write_choice(
             out.attribute(name, value)
 
 
-def chosen_model(lobes: list[str], coat: str, choices: list) -> dict:
-    """Return lobes and coat of an object as options of a fit, from its definition or from the file of a choice.
-
-    Parameters
-    ----------
-    lobes : list of str
-    coat : str
-        As in the object's definition.
-    choices : list of path
-        The file of the choice; empty if the definition names both.
-    """
-    if not choices:
-        return {"lobes": tuple(lobes), "coat": coat}
-    with store.open_file(choices[0]) as file:
+def chosen_model(choice) -> dict:
+    """Return lobes and coat in a choice's file as options of a fit."""
+    with store.open_file(choice) as file:
         return {"lobes": tuple(file.attribute("lobes", list)), "coat": file.attribute("coat", str)}
 
 
@@ -139,11 +128,9 @@ def model_before_choice(lobes: list[str], coat: str) -> dict:
     return {"lobes": DEFAULT_LOBES if AUTO in lobes else tuple(lobes), "coat": SUM if coat == AUTO else coat}
 
 
-def read_choice(choices: list) -> Comparison:
-    """Return the comparison in a choice's file; an empty one without a file."""
-    if not choices:
-        return NOTHING_COMPARED
-    with store.open_file(choices[0]) as file:
+def read_choice(choice) -> Comparison:
+    """Return the comparison in a choice's file."""
+    with store.open_file(choice) as file:
         tried, coats = file.attribute("candidates", list), file.attribute("coats", list)
         figures = np.transpose([file.read(name) for name in _FIGURES])
         painted = file.attribute("painted", float) if file.has_attribute("painted") else None

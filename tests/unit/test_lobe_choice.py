@@ -141,15 +141,11 @@ def test_the_choice_of_an_object_is_one_for_its_tiles_and_is_kept(tmp_path):
         write_tile(files["observations"][-1], seen[first * SIDE : last * SIDE], [first, last])
     choice = tmp_path / "lobes.h5"
     choose_lobes(files["observations"], choice, OPTICS.options, N, K, provenance=PROVENANCE)
-    assert chosen_model(["auto"], "sum", [choice]) == {"lobes": ("ggx",), "coat": "sum"}
-    tried = [Candidate(one.lobes, one.coat) for one in read_choice([choice]).candidates]
+    assert chosen_model(choice) == {"lobes": ("ggx",), "coat": "sum"}
+    tried = [Candidate(one.lobes, one.coat) for one in read_choice(choice).candidates]
     # All single lobes, and of the sums those that a paint tells: two Gaussian lobes nearly are a GGX.
     assert tried == [one for one in candidates(OPTICS.options) if len(one.lobes) == 1 or one in tried]
-    assert next(one for one in read_choice([choice]).candidates if one.lobes == ("ggx",)).deviation < 1.5
-    assert (
-        chosen_model(["gaussian"], "coupled", []) == {"lobes": ("gaussian",), "coat": "coupled"}
-        and read_choice([]).candidates == ()
-    )
+    assert next(one for one in read_choice(choice).candidates if one.lobes == ("ggx",)).deviation < 1.5
 
 
 #: Lobe, β and μ of a narrow highlight and a broad one, as under a coat of varnish.
@@ -198,9 +194,9 @@ def test_the_lobe_of_a_round_object_is_told_by_its_paints_though_a_texel_hardly_
     write_tile(tmp_path / "seen.h5", round_object(lobe, beta, mu, seed, coat), [0, SIDE])
     choice = tmp_path / "lobes.h5"
     choose_lobes([tmp_path / "seen.h5"], choice, FitOptions(), N, K, provenance=PROVENANCE, coat="auto")
-    assert chosen_model(["auto"], "auto", [choice])["lobes"] == (lobe,)
+    assert chosen_model(choice)["lobes"] == (lobe,)
     wrong = "ggx" if lobe == "gaussian" else "gaussian"
-    others = [one for one in read_choice([choice]).candidates if one.lobes == (wrong,)]
+    others = [one for one in read_choice(choice).candidates if one.lobes == (wrong,)]
     assert len(others) == 2 and all(one.behind > 2.0 * one.behind_error for one in others)
     with store.open_file(choice) as file:
         assert file.attribute("painted", float) > 0.75  # under both coats
@@ -225,8 +221,8 @@ def test_a_lamp_that_fails_between_photographs_is_told_by_what_no_form_of_gloss_
         caplog.clear()
         with caplog.at_level("WARNING"):
             choose_lobes([tmp_path / "seen.h5"], tmp_path / name, FitOptions(), N, K, provenance=PROVENANCE)
-        choice = read_choice([tmp_path / name])
-        misfit = choice.misfit(**chosen_model(["auto"], "sum", [tmp_path / name]))
+        choice = read_choice(tmp_path / name)
+        misfit = choice.misfit(**chosen_model(tmp_path / name))
         assert ("no form of gloss predicts left-out readings" in caplog.text) == (name == "failing")
         assert (misfit > 3.0) if name == "failing" else (misfit == 1.0)
 
@@ -239,8 +235,8 @@ def test_three_photographs_of_a_sound_object_contradict_no_form_of_gloss(tmp_pat
     with caplog.at_level("WARNING"):
         choose_lobes([tmp_path / "seen.h5"], tmp_path / "lobes.h5", FitOptions(), N, K, provenance=PROVENANCE)
     assert "no form of gloss predicts" not in caplog.text
-    model = chosen_model(["auto"], "sum", [tmp_path / "lobes.h5"])
-    assert read_choice([tmp_path / "lobes.h5"]).misfit(**model) == 1.0
+    model = chosen_model(tmp_path / "lobes.h5")
+    assert read_choice(tmp_path / "lobes.h5").misfit(**model) == 1.0
 
 
 def shared_and_own(seen: Observed, tmp_path, names) -> tuple[dict, dict]:
@@ -287,8 +283,8 @@ def test_texels_under_two_lobes_have_the_gloss_of_their_paint(tmp_path):
 def test_two_lobes_of_a_round_object_are_told_by_its_paints(tmp_path, seed):
     write_tile(tmp_path / "seen.h5", varnished(seed), [0, SIDE])
     choose_lobes([tmp_path / "seen.h5"], tmp_path / "lobes.h5", FitOptions(), N, K, provenance=PROVENANCE)
-    found = read_choice([tmp_path / "lobes.h5"]).candidates
-    assert chosen_model(["auto"], "sum", [tmp_path / "lobes.h5"])["lobes"] == ("gaussian", "ggx")
+    found = read_choice(tmp_path / "lobes.h5").candidates
+    assert chosen_model(tmp_path / "lobes.h5")["lobes"] == ("gaussian", "ggx")
     assert all(one.behind > 2.0 * one.behind_error for one in found if len(one.lobes) == 1)
 
 

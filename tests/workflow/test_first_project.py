@@ -73,7 +73,7 @@ def test_fifteen_words_fit_what_the_written_definitions_fit(fitted, started, cap
     run = snakemake(started, "--configfile=config/my-plate.yaml", "results/my-plate/surface.h5")
     assert run.returncode == 0, run.stderr[-4000:]
     written, own = fitted / "results/tile-plate", started / "results/my-plate"
-    assert chosen_model(["auto"], "auto", [own / "lobes.h5"]) == {"lobes": ("gaussian",), "coat": "sum"}
+    assert chosen_model(own / "lobes.h5") == {"lobes": ("gaussian",), "coat": "sum"}
     names = sorted(path.name for path in (written / "linear").glob("*.h5"))
     assert len(names) == 8 and names == sorted(path.name for path in (own / "linear").glob("*.h5"))
     for name in names:

@@ -71,7 +71,7 @@ def made(finished, tmp_path_factory) -> Path:
 def test_both_lobes_are_recovered_where_the_data_calls_for_them(made):
     found, truth = (Material.load(made / f"results/tile-plate/{name}.h5") for name in ("material", "truth"))
     assert found.lobes == truth.lobes == ("gaussian", "ggx")
-    tried = read_choice([made / "results/tile-plate/lobes.h5"]).candidates
+    tried = read_choice(made / "results/tile-plate/lobes.h5").candidates
     assert [(one.lobes, one.coat) for one in tried] == [(found.lobes, "sum"), (found.lobes, "coupled")]
     assert found.coat == truth.coat == "sum"
     chosen = found.observed & interior(truth)

@@ -1,7 +1,7 @@
 rule compress_reflectance:
     input:
         tiles=sets.fitted_tiles,
-        lobes=sets.lobe_choice,
+        lobes="results/{object}/lobes.h5",
         observations=sets.observations_of_sheet,
         levels=sets.levels_of_sheet,
         user_files=ancient(sets.material_files),

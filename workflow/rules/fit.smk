@@ -1,4 +1,5 @@
-# One job an object, before its tiles are fitted: all of them have the same lobes.
+# One job an object, before its tiles are fitted: all of them have the same lobes. Also where these are named, photographs
+# are left out and predicted, because they may contradict what was named.
 rule choose_lobes:
     input:
         observations=sets.observed_tiles,
@@ -31,7 +32,7 @@ rule choose_lobes:
 rule measure_levels:
     input:
         observations=sets.observed_tiles,
-        lobes=sets.lobe_choice,
+        lobes="results/{object}/lobes.h5",
         user_files=ancient(sets.tables_of_index),
         calibration=sets.calibration_of_index,
     output:
@@ -47,8 +48,6 @@ rule measure_levels:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         fit=lookup(within=config, dpath="fit"),
-        lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
-        coat=lookup(within=config["objects"], dpath="{object}/coat"),
         lamp_radius_deg=sets.lamp_radius_deg,
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
@@ -60,7 +59,7 @@ rule measure_levels:
 rule fit_brdf:
     input:
         observations="results/{object}/observations/tile-{tile}.h5",
-        lobes=sets.lobe_choice,
+        lobes="results/{object}/lobes.h5",
         levels=sets.photograph_levels,
         user_files=ancient(sets.tables_of_index),
         calibration=sets.calibration_of_index,
@@ -78,8 +77,6 @@ rule fit_brdf:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         fit=lookup(within=config, dpath="fit"),
-        lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
-        coat=lookup(within=config["objects"], dpath="{object}/coat"),
         lamp_radius_deg=sets.lamp_radius_deg,
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
@@ -93,7 +90,7 @@ rule share_gloss:
     input:
         observations=sets.observed_tiles,
         tiles=sets.own_tiles,
-        lobes=sets.lobe_choice,
+        lobes="results/{object}/lobes.h5",
         levels=sets.photograph_levels,
         user_files=ancient(sets.tables_of_index),
         calibration=sets.calibration_of_index,
@@ -111,8 +108,6 @@ rule share_gloss:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         fit=lookup(within=config, dpath="fit"),
-        lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
-        coat=lookup(within=config["objects"], dpath="{object}/coat"),
         lamp_radius_deg=sets.lamp_radius_deg,
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),

@@ -11,7 +11,7 @@ with run_rule(snakemake) as provenance:
         snakemake.output.brdf,
         FitOptions(
             **snakemake.params.fit,
-            **chosen_model(snakemake.params.lobes, snakemake.params.coat, snakemake.input.lobes),
+            **chosen_model(snakemake.input.lobes),
             lamp_radius_deg=snakemake.params.lamp_radius_deg,
         ),
         *refractive_index(typed_index(snakemake.params.refractive_index)),
