@@ -26,11 +26,11 @@ from irodori.calibration.estimator_choice import choose, cross_validate, safest
 from irodori.calibration.estimators import ESTIMATORS, fit, fit_mapping
 from irodori.calibration.paper_estimator import spectral_basis
 from irodori.calibration.recovery.calibration_file import Calibration
-from irodori.calibration.recovery.posterior import ERROR_NM, SIZE, Posterior
+from irodori.calibration.recovery.posterior import SIZE, Posterior
 from irodori.calibration.training import ResponseNoise, Training
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
 from irodori.core.threads import use_threads
-from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
+from irodori.spectra.grid import ERROR_NM, TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import camera_sensitivities, read_spectra, spectrum
 from irodori.spectra.published_names import TEST_COLOURS
 from irodori.spectra.resampling import resample

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
-from irodori.calibration.recovery.posterior import ERROR_NM, Posterior
+from irodori.calibration.recovery.posterior import Posterior
 from irodori.colour.colorimetry import xyz_from_reflectance
 from irodori.config.models import Object
 from irodori.config.parts import Surface
@@ -45,7 +45,7 @@ from irodori.material.principal_components.basis_count import Compression, Compr
 from irodori.material.principal_components.decomposition import WEIGHTINGS
 from irodori.material.principal_components.repeated_reflection import drift
 from irodori.material.principal_components.second_moments import second_moments
-from irodori.spectra.grid import SAMPLES
+from irodori.spectra.grid import ERROR_NM, SAMPLES
 from irodori.spectra.published import refractive_index, spectrum
 
 _GREEN = 1

@@ -6,6 +6,7 @@ import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.colour.display import STANDARD
+from irodori.colour.tone_curves import SRGB
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
 from irodori.spectra.published_tables import published_matrix, published_table
@@ -58,14 +59,15 @@ def daylight() -> list[list[float]]:
 
 
 def displays() -> list[dict]:
-    """Return the displays of standard primaries, each with its matrix from XYZ to linear RGB and its white (Y = 1)."""
+    """Return the displays with sRGB's tone curve, each with its matrix from XYZ to linear RGB and its white (Y = 1)."""
     return [
         {
             "name": name,
             "rgb_from_xyz": np.linalg.inv(published_matrix(f"xyz_from_rgb/{name}")).tolist(),
             "white_xyz": published_matrix(f"white_xyz/{name}").tolist(),
         }
-        for name in STANDARD
+        for name, curve in STANDARD.items()
+        if curve is SRGB
     ]
 
 

@@ -11,7 +11,7 @@ from irodori.config.models import CollimatedLight, ObjectShape, OrthographicView
 from irodori.config.pages import page_fault, page_illuminants, page_rooms, page_views
 from irodori.config.placed_names import object_names
 from irodori.core import store
-from irodori.core.errors import PlainError
+from irodori.core.errors import InputError, PlainError
 from irodori.core.provenance import config_hash
 from irodori.geometry.rig_frame import look_at
 from irodori.geometry.shapes.shape import Shape
@@ -25,7 +25,7 @@ from irodori.rendering.interactive.frame_renderer import light_of
 from irodori.rendering.interactive.quadrature import path_spectra, solve_quadrature
 from irodori.rendering.scene_arrays import back_of, coats_of, make_objects, make_placements, placed_of_rows
 from irodori.rendering.scene_lights import BANDS, make_lights
-from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.grid import ERROR_NM, WAVELENGTH_NM
 from irodori.spectra.published import light
 from irodori.viewer import colours
 from irodori.viewer.lesson import lesson_for_page
@@ -47,8 +47,11 @@ MEASURED, PAINT, FILLED, UNKNOWN = 0, 1, 2, 3
 #: Wavelengths that stand for a spectrum where mirrors have colours; the shader has room for 16.
 _WAVELENGTHS = 14
 _SINGLE_PLANE_BITS = 8
+#: Bits of the standard error at a wavelength, on a logarithmic scale: what is decoded is within 8 % of it.
+_SPECTRAL_BITS = 6
 #: Names of maps of a material's file.
-_STATUS, _ERROR = "status", "reflectance_error"
+_STATUS, _ERROR, _SPECTRAL_ERROR = "status", "reflectance_error", "spectral_error"
+_ERROR_NM = "error_wavelength"
 #: Field of view in the page's state for a view with parallel rays, which do not use it.
 _FOV_DEG = 34.0
 #: Sine of the angle to the vertical below which a line of sight has no azimuth.
@@ -118,10 +121,12 @@ def _status(material: Material) -> np.ndarray:
 
 
 def _with_maps(path) -> Material:
-    """Return a material with the status map of its fit, and the standard error of its reflectance where it is known."""
+    """Return a material with the status map of its fit, and the standard errors of its reflectance if known."""
     material, extra = Material.load(path), {}
     with store.open_file(path) as file:
-        for name in (_STATUS, _ERROR):
+        if _SPECTRAL_ERROR in file and not np.array_equal(file.read(_ERROR_NM), ERROR_NM):
+            raise InputError(path, _ERROR_NM, "other wavelengths", f"{len(ERROR_NM)} from 400 to 700 nm")
+        for name in (_STATUS, _ERROR, _SPECTRAL_ERROR):
             if name in file:
                 extra[name] = np.nan_to_num(file.read(name)), "1", name
     return replace(material, extra=extra)
@@ -130,6 +135,13 @@ def _with_maps(path) -> Material:
 def _uncertainty(material: Material) -> np.ndarray:
     """Return the standard error of the reflectance of each texel, (height, width); 0 where none is known."""
     return material.extra[_ERROR][0] if _ERROR in material.extra else np.zeros(material.alpha.shape)
+
+
+def _spectral_error(material: Material) -> np.ndarray:
+    """Return the standard error of each texel at `ERROR_NM`, (wavelengths, height, width); 0 where none is known."""
+    if _SPECTRAL_ERROR not in material.extra:
+        return np.zeros((len(ERROR_NM), *material.alpha.shape))
+    return np.moveaxis(material.extra[_SPECTRAL_ERROR][0], -1, 0)
 
 
 def _camera(view: PerspectiveView | OrthographicView) -> dict:
@@ -234,6 +246,7 @@ def page_data(sources: SceneSources) -> PageData:
     for i, (material, error) in enumerate(zip((*materials, *sides), uncertainties, strict=True)):
         planes.add_integers(f"object/{i}/status", _status(material)[None])
         planes.add_log(f"object/{i}/uncertainty", error[None], _SINGLE_PLANE_BITS)
+        planes.add_log(f"object/{i}/spectral_error", _spectral_error(material), _SPECTRAL_BITS)
         planes.add_linear(f"object/{i}/alpha", np.nan_to_num(material.filled()[0].alpha)[None])
         rows = {"behind": int(objects.behind[i]), "through": int(objects.through[i])}
         entries[i] |= {key: row for key, row in rows.items() if row >= 0} | {"map": maps[i]}
@@ -258,6 +271,7 @@ def page_data(sources: SceneSources) -> PageData:
             "environments": [store_hash(path) for path in sources.environments],
         },
         "wavelength_nm": [float(x) for x in WAVELENGTH_NM],
+        "error_nm": [float(x) for x in ERROR_NM],
         "objects": entries[: len(placements)],
         "sides": [entry | {"of": index} for entry, index in of_sides],
         "lobes": lobe_entries(objects),

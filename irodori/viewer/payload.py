@@ -19,7 +19,7 @@ import numpy as np
 
 from irodori.core.errors import InputError
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 #: Largest accepted size of a decompressed payload, bytes: no page of this package is larger.
 MOST_BYTES = 1 << 28
 _GZIP = 16 + zlib.MAX_WBITS

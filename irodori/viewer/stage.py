@@ -35,6 +35,8 @@ from irodori.viewer.scene_data import decoded_light, decoded_objects
 TURNS_DEG, ILLUMINANTS, OBSERVERS = (0.0, 110.0), (None, "A", "FL11"), (0, 1)
 #: Loss of the format, CIEDE2000, above which a warning is logged; the page states its loss in any case.
 LOSS_MEAN, LOSS_P99 = 0.1, 0.3
+#: Share of the peak of a room's light at which a wavelength has no power, as in the page's `Spectra.lit`.
+_NO_POWER = 1e-4
 _SIZE = Size(width=160, height=120)
 _SELFTEST_SIZE = Size(width=40, height=30)
 
@@ -192,9 +194,10 @@ def checks(data: PageData, originals: Sequence[Prepared], view: View) -> Iterato
     """
     for name, parts, original in zip(data.header["environments"], data.rooms, originals, strict=True):
         white = parts.environment.upward_white()
+        has_all = (white > _NO_POWER * white.max()).all()
         for turn in TURNS_DEG:
             bands = frame_bands(original, view, parts, turn)
-            for illuminant in ILLUMINANTS if white.all() and not len(parts.lamps) else (None,):
+            for illuminant in ILLUMINANTS if has_all and not len(parts.lamps) else (None,):
                 ratio = swapped(data, illuminant, parts) if illuminant else np.ones_like(white)
                 seen_white = white_of(parts) * ratio
                 light = {"environment": name, "turn_deg": turn, "illuminant": illuminant and {"name": illuminant}}

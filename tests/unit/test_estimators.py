@@ -15,14 +15,14 @@ from irodori.calibration.estimators import ESTIMATORS, fit, monomials
 from irodori.calibration.paper_estimator import calibrate
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping, LocalMapping, PolynomialMapping
-from irodori.calibration.recovery.posterior import ERROR_NM, RANK, Posterior
+from irodori.calibration.recovery.posterior import RANK, Posterior
 from irodori.calibration.recovery.posterior_loops import Errors
 from irodori.calibration.response_model import fit_response_model, smooth_covariance, smooth_priors
 from irodori.calibration.training import ResponseNoise, Training, mix_paints
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse, xyz_from_reflectance
 from irodori.core import store
 from irodori.spectra.coordinates import write_wavelength
-from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.grid import ERROR_NM, WAVELENGTH_NM
 
 NAMES = list(ESTIMATORS)
 PROBES = mix_paints(patches(), limit=60)[:50]

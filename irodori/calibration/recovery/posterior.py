@@ -21,7 +21,7 @@ from irodori.calibration.recovery.posterior_loops import ErrorModel, Errors, Rec
 from irodori.calibration.response_model import smooth_covariance
 from irodori.colour.colorimetry import delta_e_metric, lab_from_xyz, xyz_from_reflectance
 from irodori.jit.chunks import run_chunks
-from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.grid import ERROR_NM, ERROR_STRIDE, WAVELENGTH_NM
 
 #: Correlation length of the part of a spectrum that the bands miss, nm.
 _LENGTH_NM = 25.0
@@ -34,9 +34,6 @@ _LEVEL, _SLOPE, _NEARBY = 5e-4, 3e-3, 0.1
 #: Factor of the missed part: the mean of those that fit six measured sets.
 SIZE = 0.81
 _SLOPE_NM, _NEAR_NM = 50.0, 30.0  # interval of a slope, and width of the local mean
-_STRIDE = 4  # of the grid, between wavelengths at which errors are stated, closer than their correlation length
-#: Wavelengths, nm, at which errors are stated.
-ERROR_NM = WAVELENGTH_NM[::_STRIDE]
 _BATCH = 2048  # texels that a thread takes at a time
 
 
@@ -89,8 +86,8 @@ class Posterior:
         )
         self._ratio_basis = basis.T @ xyz.T
         near = smooth_covariance(_NEAR_NM)
-        near = _NEARBY * (near / near.sum(axis=1, keepdims=True))[::_STRIDE]
-        single = (basis[::_STRIDE].T, missed[::_STRIDE], seen, self._ratio_basis, coloured, hat.mean(axis=1))
+        near = _NEARBY * (near / near.sum(axis=1, keepdims=True))[::ERROR_STRIDE]
+        single = (basis[::ERROR_STRIDE].T, missed[::ERROR_STRIDE], seen, self._ratio_basis, coloured, hat.mean(axis=1))
         self._model = ErrorModel(
             np.ascontiguousarray(basis),
             np.ascontiguousarray(near),

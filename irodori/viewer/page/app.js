@@ -15,7 +15,6 @@
     chosenObject: 0,
     chosenLamp: 0,
     chosenNote: null,
-    probed: [], // what the renderer found at page.probes
     cursor: [0.5, 0.5], // of probe and ruler by keys, as shares of the picture
     settling: null, // timer of a change that has not come to rest
   };

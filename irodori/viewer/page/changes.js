@@ -48,17 +48,14 @@
     app.chosenLamp = Math.max(0, Math.min(app.chosenLamp, app.page.state.light.lamps.length - 1));
     app.chosenNote = null;
     app.pace.way = null;
-    app.probed = [];
     if (smooth && from && !calm.matches) {
       app.pace.way = { from: I.clone(from), to: I.clone(app.page.state.camera), since: performance.now() };
       app.page.state.camera = I.clone(from);
     }
     app.build();
+    app.showCard();
     changed();
-    if (app.page.probes.length) whenDrawn(app.reprobe);
   }
-
-  const whenDrawn = (act) => requestAnimationFrame(() => requestAnimationFrame(act));
 
   function goTo(index) {
     tell(() => put(I.pageOfStep(app.lesson.steps[index], index, keptSettings(), app.header), true));

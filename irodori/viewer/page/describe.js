@@ -26,6 +26,8 @@
         turn: Math.round(light.turn_deg),
       }),
     ];
+    const missing = app.missingWords(light);
+    if (missing) parts.push(missing);
     const lamps = light.lamps.filter((one) => one.on).length;
     if (lamps) parts.push(I.text("describe_lamps", { count: lamps }));
     if (app.page.compare)

@@ -19,6 +19,7 @@
   }
 
   function redraw() {
+    if (!app.page) return; // the size of the picture is known before there is one
     pace.dirty = true;
     pace.moved = performance.now();
     request();

@@ -45,7 +45,7 @@
       if (file.size > 50e6) throw new I.Refusal("file_too_large", { file: file.name });
       if (/\.png$/i.test(file.name)) {
         const bytes = new Uint8Array(await file.arrayBuffer());
-        app.put(I.hashToPage(I.textOfPng(bytes), app.base, app.header), true);
+        app.put(I.hashToPage(I.textOfPng(bytes), app.base, app.header, app.lesson), true);
         app.say(I.text("snapshot_opened"));
       } else if (/\.(csv|txt|tsv)$/i.test(file.name)) {
         const power = I.powerOfTable(await file.text(), file.name);

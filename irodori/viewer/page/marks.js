@@ -19,7 +19,7 @@
     const both = (tag, attributes) =>
       marks.append(I.svg(tag, { ...attributes, class: "halo" }), I.svg(tag, { ...attributes, class: "core" }));
     app.page.probes.forEach((point, i) => {
-      const at = place(point);
+      const at = place(point.position_mm);
       if (!at) return;
       both("circle", { cx: at[0], cy: at[1], r: 9 });
       marks.append(I.svg("text", { x: at[0], y: at[1] - 15 }, "AB"[i]));

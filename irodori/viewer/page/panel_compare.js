@@ -46,6 +46,7 @@
         app.controls.group(
           "second_light",
           app.illuminantPicker(other, "illuminant", "as_captured"),
+          app.exchangeNote(other),
           ...app.roomControls(other),
         ),
         app.controls.button("exchange", () => {

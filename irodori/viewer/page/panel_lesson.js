@@ -155,7 +155,7 @@
             () => {
               if (!app.page.probes.length) return app.say(I.text("probe_first"));
               (one.notes ??= []).push({
-                position_mm: app.page.probes.at(-1).map((value) => Math.round(value * 10) / 10),
+                position_mm: app.page.probes.at(-1).position_mm.map((value) => Math.round(value * 10) / 10),
                 text: { [code]: I.text("new_note") },
               });
               return app.rebuild("#note-" + (one.notes.length - 1));

@@ -26,6 +26,28 @@
     });
   }
 
+  // Where the room's light has no power, an exchanged light cannot have any.
+  function exchangeNote(light) {
+    const note = h("p", { class: "hint", role: "status" });
+    const update = () => {
+      note.textContent = missingWords(light());
+      note.hidden = note.textContent === "";
+    };
+    app.controls.updates.push(update);
+    update();
+    return note;
+  }
+
+  function missingWords(light) {
+    const missing = app.renderer.missing(light),
+      spans = [];
+    for (const nm of missing)
+      if (spans.length && nm === spans.at(-1)[1] + 5) spans.at(-1)[1] = nm;
+      else spans.push([nm, nm]);
+    const words = spans.map(([first, last]) => (first === last ? `${first} nm` : `${first}–${last} nm`));
+    return missing.length ? I.text("light_missing", { spans: words.join(", ") }) : "";
+  }
+
   function roomControls(light) {
     const parts = [
       app.controls.slider({
@@ -60,7 +82,7 @@
     const light = () => app.page.state.light,
       lamps = app.page.state.light.lamps;
     const parts = [
-      app.controls.group("spectrum", illuminantPicker(light, "illuminant", "as_captured")),
+      app.controls.group("spectrum", illuminantPicker(light, "illuminant", "as_captured"), exchangeNote(light)),
       app.controls.group("room_group", ...roomControls(light)),
       app.controls.group(
         "exposure_group",
@@ -169,5 +191,5 @@
     return parts;
   }
 
-  Object.assign(app, { illuminantPicker, roomControls, lightPage });
+  Object.assign(app, { illuminantPicker, exchangeNote, missingWords, roomControls, lightPage });
 })(window.Irodori);

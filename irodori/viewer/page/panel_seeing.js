@@ -42,12 +42,9 @@
     const OWN = ":primaries",
       wide = window.matchMedia("(color-gamut: p3)").matches;
     const options = [
-      ["sRGB", "sRGB"],
-      ["Display P3", wide ? "Display P3" : I.text("p3_not_here")],
+      ...app.header.displays.map(({ name }) => [name, name === "Display P3" && !wide ? I.text("p3_not_here") : name]),
       [OWN, I.text("own_primaries")],
     ];
-    if (!options.some(([name]) => name === app.base.state.display.name))
-      options.unshift([app.base.state.display.name, app.base.state.display.name]);
     const PROFILE = ":profile",
       own = state.display.profile;
     if (own) options.push([PROFILE, own.label]);
@@ -86,10 +83,14 @@
             high: 0.9,
             step: 0.0001,
             get: () => app.page.state.display.primaries?.[key][i] ?? "",
-            set: (value) => {
-              app.page.state.display.primaries[key][i] = value;
-              app.changed();
-            },
+            set: (value) =>
+              app.tell(() => {
+                const next = I.clone(app.page.state.display.primaries);
+                next[key][i] = value;
+                I.checkPrimaries("display.primaries", next);
+                app.page.state.display.primaries = next;
+                app.changed();
+              }),
           }),
         );
       screen.append(

@@ -1,7 +1,7 @@
 // The payload of a page: base64 of a gzip stream with a JSON header and planes; the format is told in payload.py.
 "use strict";
 var Irodori = Irodori || {};
-Irodori.SCHEMA_VERSION = 1;
+Irodori.SCHEMA_VERSION = 2;
 
 (function () {
   const MOST_BYTES = 1 << 28;
@@ -24,6 +24,7 @@ Irodori.SCHEMA_VERSION = 1;
   }
 
   async function unfolded(bytes) {
+    if (!window.DecompressionStream) throw new Irodori.Refusal("no_decompression");
     // Fed by hand: a stream that is cut short or damaged ends in an error of the reader, whatever the writer does.
     const stream = new DecompressionStream("gzip");
     const writer = stream.writable.getWriter();

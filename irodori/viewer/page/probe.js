@@ -21,44 +21,37 @@
       app.page.ruler = [...(app.page.ruler.length === 2 ? [] : app.page.ruler), found.position_mm];
       if (app.page.ruler.length === 2) app.say(I.text("ruler_reads", { mm: I.distance(...app.page.ruler).toFixed(1) }));
     } else {
-      app.page.probes = [...app.page.probes, found.position_mm].slice(-2);
-      app.probed = [...app.probed, found].slice(-2);
+      const { surface, texel, position_mm } = found;
+      app.page.probes = [...app.page.probes, { surface, texel, position_mm }].slice(-2);
       showCard();
     }
     app.changed();
   }
 
-  // The data of points that came with an address, where the eye sees them.
-  function reprobe() {
-    const [width, height] = app.size();
-    const found = app.page.probes.map((one) => {
-      const at = I.project(app.page.state.camera, one, width, height);
-      return at && app.renderer.probe(app.page.state, ...pixels(at[0], at[1]));
-    });
-    app.probed = found.every(Boolean) ? found : [];
-    if (!app.probed.length) app.page.probes = [];
-    showCard();
-    app.changed();
-  }
+  // Half the error band where it is narrowest or widest, and the wavelength.
+  const bound = (name, sigma) => {
+    const error = Math[name](...sigma);
+    return { [name]: (2 * error).toFixed(3), [name + "_nm"]: 400 + 5 * sigma.indexOf(error) };
+  };
 
   function spectrumWords(one) {
     const at = (nm) => one.reflectance[(nm - 400) / 5].toFixed(2);
-    const error = Math.max(...one.sigma);
-    const known = Number.isFinite(error)
-      ? I.text("error_band", { error: (2 * error).toFixed(3) })
+    const known = one.sigma
+      ? I.text("error_band", { ...bound("min", one.sigma), ...bound("max", one.sigma) })
       : I.text("error_unknown");
     return I.text("spectrum_words", { short: at(450), middle: at(550), long: at(650) }) + " " + known;
   }
 
   function showCard() {
-    const card = $("card");
-    card.hidden = app.probed.length === 0;
+    const card = $("card"),
+      probed = app.page.probes.map((place) => app.renderer.known(place));
+    card.hidden = probed.length === 0;
     app.showStage();
     if (card.hidden) return;
     const figure = (value, digits, unit) =>
       Number.isFinite(value) ? value.toFixed(digits) + unit : I.text("unknown_value");
-    const rows = app.probed.flatMap((one, i) => {
-      const letter = app.probed.length > 1 ? "AB"[i] + " · " : "";
+    const rows = probed.flatMap((one, i) => {
+      const letter = probed.length > 1 ? "AB"[i] + " · " : "";
       return [
         h("h3", {}, letter + app.objectWords({ name: one.object })),
         h("p", {}, I.text("status_long_" + one.status)),
@@ -74,25 +67,21 @@
         ),
       ];
     });
-    const curves = app.probed.map((one) => ({
-      values: Array.from(one.reflectance),
-      sigma: Array.from(one.sigma).every(Number.isFinite) ? Array.from(one.sigma) : null,
-    }));
+    const curves = probed.map((one) => ({ values: one.reflectance, sigma: one.sigma }));
     const top = Math.max(1, ...curves.flatMap((one) => one.values));
     const clear = app.controls.button("clear", () => {
       app.page.probes = [];
-      app.probed = [];
       showCard();
       app.changed();
       canvas.focus();
     });
     card.replaceChildren(
       h("h2", { text: "reflectance" }),
-      I.plot(curves, top, app.probed.map(spectrumWords).join(" ")),
+      I.plot(curves, top, probed.map(spectrumWords).join(" ")),
       ...rows,
       clear,
     );
-    $("live").textContent = app.probed
+    $("live").textContent = probed
       .slice(-1)
       .map(
         (one) =>
@@ -101,5 +90,5 @@
       .join("");
   }
 
-  Object.assign(app, { pixels, point, reprobe, showCard });
+  Object.assign(app, { pixels, point, showCard });
 })(window.Irodori);

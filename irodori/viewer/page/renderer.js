@@ -18,12 +18,6 @@ var Irodori = Irodori || {};
     MODES = [null, "wipe", "difference", "metamerism"];
   const radians = (x) => (x * Math.PI) / 180;
 
-  function fail(code, sentence) {
-    const error = new Error(sentence);
-    error.code = code;
-    throw error;
-  }
-
   // World from object, rows, of turns about x, then y, then z.
   const turned = (Irodori.turned = function (degrees) {
     const [a, b, c] = degrees.map(radians),
@@ -80,9 +74,8 @@ var Irodori = Irodori || {};
         preserveDrawingBuffer: true,
         powerPreference: "high-performance",
       }));
-      if (!gl) fail("no-webgl2", "This browser draws no WebGL2; accepted: a browser that does.");
-      if (!gl.getExtension("EXT_color_buffer_float"))
-        fail("no-webgl2", "This browser draws no numbers with a point; accepted: one with EXT_color_buffer_float.");
+      if (!gl) throw new Irodori.Refusal("no_webgl2");
+      if (!gl.getExtension("EXT_color_buffer_float")) throw new Irodori.Refusal("no_float_buffers");
       this.parallel = gl.getExtension("KHR_parallel_shader_compile");
       this.targets = {};
       this.lights = [];
@@ -277,6 +270,11 @@ var Irodori = Irodori || {};
 
     power(illuminant) {
       return this.spectra.power(illuminant);
+    }
+
+    // Wavelengths, nm, at which an exchanged light has power that the room cannot give.
+    missing(light) {
+      return this.spectra.missing(light);
     }
 
     setTexture(program, name, own, unit) {
@@ -710,28 +708,37 @@ var Irodori = Irodori || {};
       return this.read(state, width, height, [0, 0], [width, height])[0];
     }
 
-    // What is known of the place under a pixel of the canvas, null where the room is seen.
+    // What is known of the place under a pixel of the canvas, null where the room is seen; a place is {surface, texel,
+    // position_mm}.
     probe(state, x, y) {
-      const [[X, Y, Z, number], [u, v], [px, py, pz]] = this.read(
+      const [[X, Y, Z, surface], [u, v], [px, py, pz]] = this.read(
         state,
         1,
         1,
         [Math.floor(x), Math.floor(y)],
         [this.canvas.width, this.canvas.height],
       );
-      if (number < 0) return null;
-      const o = Irodori.surfaces(this.data.header)[number],
+      if (surface < 0) return null;
+      const texel = Irodori.surfaces(this.data.header)[surface].texels.map((count, i) =>
+        Math.min(Math.max(Math.floor([v, u][i] * count), 0), count - 1),
+      );
+      return { ...this.known({ surface, texel, position_mm: [px, py, pz] }), xyz: [X, Y, Z] };
+    }
+
+    // What is known of a place, wherever the eye is.
+    known(place) {
+      const { surface, texel } = place,
+        o = Irodori.surfaces(this.data.header)[surface],
         [rows, columns_] = o.texels,
-        plane = (name) => this.data.planes["object/" + number + "/" + name];
-      const row = Math.min(Math.max(Math.floor(v * rows), 0), rows - 1),
-        column = Math.min(Math.max(Math.floor(u * columns_), 0), columns_ - 1);
-      const at = row * columns_ + column,
-        basis = this.spectra.objects[number].basis,
+        plane = (name) => this.data.planes["object/" + surface + "/" + name];
+      const at = texel[0] * columns_ + texel[1],
+        basis = this.spectra.objects[surface].basis,
+        texels = rows * columns_,
         coefficients = plane("reflectance");
       const reflectance = Array.from({ length: 61 }, (_, i) =>
-        basis.reduce((sum, b, j) => sum + b[i] * coefficients[j * rows * columns_ + at], 0),
+        basis.reduce((sum, b, j) => sum + b[i] * coefficients[j * texels + at], 0),
       );
-      const sigma = plane("uncertainty")[at],
+      const errors = this.data.header.error_nm.map((nm, i) => [nm, plane("spectral_error")[i * texels + at]]),
         found = { alpha: plane("alpha")[at], beta: null, mu_rad: null };
       if (o.lobes.length) {
         const [first, step] = this.data.header.lobes[o.lobes[0]].ladder,
@@ -743,14 +750,15 @@ var Irodori = Irodori || {};
         }
       }
       return {
+        ...place,
         object: o.name,
-        texel: [row, column],
-        position_mm: [px, py, pz],
         reflectance,
-        sigma: new Array(61).fill(sigma),
+        // No error is 0: that stands where none is known.
+        sigma: errors.every(([, error]) => error > 0)
+          ? Array.from({ length: 61 }, (_, i) => Irodori.onLine(errors, 400 + 5 * i))
+          : null,
         ...found,
         status: ["measured", "paint", "filled", "unknown"][plane("status")[at]],
-        xyz: [X, Y, Z],
       };
     }
 

@@ -79,14 +79,30 @@ Irodori.Spectra = class {
     return sum;
   }
 
+  // Whether the light of an environment has power at each wavelength: less than 1e-4 of its peak is noise, which no
+  // factor makes light. `irodori.viewer.stage` compares the page with the renderer by the same rule.
+  lit(light) {
+    const least = 1e-4 * Math.max(...light.white);
+    return Array.from(light.white, (x) => x > least);
+  }
+
+  // Wavelengths, nm, at which an exchanged illuminant has power and the light of its environment has none.
+  missing({ environment, illuminant }) {
+    const light = this.lights[Math.max(this.header.environments.indexOf(environment), 0)];
+    if (!illuminant || !light || !(Math.max(...light.white) > 0)) return [];
+    const power = this.power(illuminant),
+      has = this.lit(light);
+    return this.header.wavelength_nm.filter((_, i) => !has[i] && power[i] > 0);
+  }
+
   // Factor on the light of an environment that gives its white another spectrum of the same luminance.
   ratio(light, illuminant) {
     const out = new Float64Array(61).fill(1);
     if (illuminant === null || illuminant === undefined) return out;
     const power = this.power(illuminant),
       scale = this.luminance(light.white) / this.luminance(power);
-    const least = 1e-4 * Math.max(...light.white);
-    for (let i = 0; i < 61; i++) out[i] = light.white[i] > least ? (power[i] * scale) / light.white[i] : 0;
+    const has = this.lit(light);
+    for (let i = 0; i < 61; i++) out[i] = has[i] ? (power[i] * scale) / light.white[i] : 0;
     return out;
   }
 

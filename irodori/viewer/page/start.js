@@ -31,7 +31,7 @@
     if (hash === "selftest") return void app.selftest();
     if (!hash) return void app.put(I.clone(app.base), false);
     app.put(I.clone(app.base), false);
-    app.tell(() => app.put(I.hashToPage(hash, app.base, app.header), false));
+    app.tell(() => app.put(I.hashToPage(hash, app.base, app.header, app.lesson), false));
   }
 
   // Where nothing can be drawn: the picture as it was rendered, and why.
@@ -39,7 +39,7 @@
     document.body.classList.add("still");
     $("poster").hidden = false;
     $("truth-open").hidden = true;
-    $("poster-text").textContent = error.code === "no-webgl2" ? I.text("no_webgl2") : I.sentence(error);
+    $("poster-text").textContent = I.sentence(error);
   }
 
   async function start() {

@@ -2,7 +2,7 @@
 // The whole picture as plain values, and as the part of an address behind the #.
 //
 // page = {step: number or null, state: of the renderer, compare: {mode, other, at} or null,
-//         probes: points in mm, ruler: points in mm}
+//         probes: [{surface: its number, texel: [row, column], position_mm}], ruler: points in mm}
 window.Irodori = window.Irodori || {};
 (function (I) {
   const MODES = ["wipe", "difference", "metamerism", "rgb"];
@@ -32,12 +32,11 @@ window.Irodori = window.Irodori || {};
   }
 
   function laidOver(base, given, path) {
-    if (!isBlock(base) || !isBlock(given)) return given;
+    if (!isBlock(base)) return given;
+    keys(path.slice(0, -1), given, Object.keys(base));
     const made = I.clone(base);
-    for (const key of Object.keys(given)) {
-      if (!Object.hasOwn(base, key)) throw refusal(path + key, "x", I.text("no_such_key"));
+    for (const key of Object.keys(given))
       made[key] = WHOLE.includes(key) ? given[key] : laidOver(base[key], given[key], path + key + ".");
-    }
     return made;
   }
 
@@ -47,7 +46,8 @@ window.Irodori = window.Irodori || {};
     return "v1." + btoa(bytes).replace(/\+/g, "-").replace(/\//g, "_").replace(/=+$/, "");
   };
 
-  I.hashToPage = function (hash, base, header) {
+  // The lesson is the one that is shown, of which a page may be a step.
+  I.hashToPage = function (hash, base, header, lesson) {
     let given;
     try {
       if (!hash.startsWith("v1.")) throw new Error("another version");
@@ -58,7 +58,12 @@ window.Irodori = window.Irodori || {};
     } catch (error) {
       throw new I.Refusal("bad_address");
     }
-    return I.checkedPage(laidOver(base, given, ""), base, header);
+    if (!isBlock(given)) throw new I.Refusal("bad_address");
+    const page = laidOver(base, given, ""),
+      steps = lesson?.steps.length ?? 0;
+    if (page.step !== null && !steps) throw refusal("step", page.step, "null");
+    if (page.step !== null) whole("step", page.step, steps);
+    return I.checkedPage(page, base, header);
   };
 
   function refusal(field, found, accepted) {
@@ -69,6 +74,12 @@ window.Irodori = window.Irodori || {};
   function number(field, value, low, high) {
     const inside = typeof value === "number" && value >= low && value <= high;
     if (!inside) throw refusal(field, value, `${low} … ${high}`);
+  }
+
+  // A number of one of so many.
+  function whole(field, value, count) {
+    number(field, value, 0, count - 1);
+    if (!Number.isInteger(value)) throw refusal(field, value, `0, 1 … ${count - 1}`);
   }
 
   function numbers(field, value, count, low, high) {
@@ -91,12 +102,18 @@ window.Irodori = window.Irodori || {};
   function keys(field, value, known) {
     if (!isBlock(value)) throw refusal(field, value, known.join(", "));
     for (const key of Object.keys(value))
-      if (!known.includes(key)) throw refusal(`${field}.${key}`, value[key], known.join(", "));
+      if (!known.includes(key)) throw refusal(field ? `${field}.${key}` : key, value[key], known.join(", "));
+  }
+
+  // The keys of a block that has one of several forms, each named after its first key.
+  function formOf(value, forms) {
+    const form = isBlock(value) && Object.keys(forms).find((key) => key in value);
+    return form ? forms[form] : Object.keys(forms);
   }
 
   function illuminant(field, value, header) {
     if (value === null) return;
-    keys(field, value, ["name", "cct_K", "power", "label"]);
+    keys(field, value, formOf(value, { name: ["name"], cct_K: ["cct_K"], power: ["power", "label"] }));
     if ("name" in value)
       choice(
         field + ".name",
@@ -114,7 +131,7 @@ window.Irodori = window.Irodori || {};
 
   function light(field, value, header) {
     keys(field, value, ["environment", "turn_deg", "illuminant", "lamps"]);
-    if (value.environment !== null) choice(field + ".environment", value.environment, header.environments);
+    choice(field + ".environment", value.environment, header.environments.length ? header.environments : [null]);
     number(field + ".turn_deg", value.turn_deg, -36000, 36000);
     illuminant(field + ".illuminant", value.illuminant, header);
     list(field + ".lamps", value.lamps, I.LAMPS);
@@ -130,8 +147,23 @@ window.Irodori = window.Irodori || {};
     });
   }
 
-  function display(field, value, base) {
-    keys(field, value, ["name", "primaries", "profile"]);
+  // On which side of the line from a to b a point lies, by its sign.
+  const side = (point, a, b) => (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0]);
+
+  // Refuse primaries of a screen that do not enclose its white.
+  I.checkPrimaries = function (field, value) {
+    keys(field, value, ["red_xy", "green_xy", "blue_xy", "white_xy", "gamma"]);
+    for (const one of ["red_xy", "green_xy", "blue_xy", "white_xy"])
+      numbers(`${field}.${one}`, value[one], 2, 0.0001, 0.9);
+    number(field + ".gamma", value.gamma, 1, 4);
+    const corners = [value.red_xy, value.green_xy, value.blue_xy],
+      sides = corners.map((a, i) => Math.sign(side(value.white_xy, a, corners[(i + 1) % 3])));
+    if (Math.abs(sides[0] + sides[1] + sides[2]) !== 3)
+      throw refusal(field + ".white_xy", value.white_xy, I.text("enclosed_white"));
+  };
+
+  function display(field, value, header) {
+    keys(field, value, formOf(value, { profile: ["profile"], primaries: ["primaries"], name: ["name"] }));
     if ("profile" in value) {
       keys(field + ".profile", value.profile, ["label", "xyz_from_rgb", "codes"]);
       if (typeof value.profile.label !== "string" || value.profile.label.length > 100)
@@ -146,17 +178,17 @@ window.Irodori = window.Irodori || {};
       }
       return undefined;
     }
-    if (!("primaries" in value)) return choice(field + ".name", value.name, ["sRGB", "Display P3", base.name]);
-    keys(field + ".primaries", value.primaries, ["red_xy", "green_xy", "blue_xy", "white_xy", "gamma"]);
-    for (const one of ["red_xy", "green_xy", "blue_xy", "white_xy"])
-      numbers(`${field}.primaries.${one}`, value.primaries[one], 2, 0.0001, 0.9);
-    return number(field + ".primaries.gamma", value.primaries.gamma, 1, 4);
+    if ("primaries" in value) return I.checkPrimaries(field + ".primaries", value.primaries);
+    return choice(
+      field + ".name",
+      value.name,
+      header.displays.map((one) => one.name),
+    );
   }
 
   // Return a page after a look at every value, or refuse it in one sentence.
   I.checkedPage = function (page, base, header) {
     const state = page.state;
-    if (page.step !== null) number("step", page.step, 0, 99);
     numbers("camera.target_mm", state.camera.target_mm, 3, -FAR, FAR);
     number("camera.azimuth_deg", state.camera.azimuth_deg, -36000, 36000);
     number("camera.elevation_deg", state.camera.elevation_deg, -90, 90);
@@ -184,62 +216,95 @@ window.Irodori = window.Irodori || {};
     choice("deficiency", state.deficiency, [null, ...DEFICIENCIES]);
     choice("overlay", state.overlay, [null, ...OVERLAYS]);
     number("exposure_ev", state.exposure_ev, -10, 10);
-    display("display", state.display, base.state.display);
+    display("display", state.display, header);
     if (page.compare !== null) {
       keys("compare", page.compare, ["mode", "other", "at"]);
       choice("compare.mode", page.compare.mode, MODES);
       light("compare.other", page.compare.other, header);
       number("compare.at", page.compare.at, 0, 1);
     }
-    for (const name of ["probes", "ruler"]) {
-      list(name, page[name], 2);
-      page[name].forEach((one, index) => numbers(`${name}[${index}]`, one, 3, -FAR, FAR));
-    }
+    list("ruler", page.ruler, 2);
+    page.ruler.forEach((one, index) => numbers(`ruler[${index}]`, one, 3, -FAR, FAR));
+    list("probes", page.probes, 2);
+    page.probes.forEach((one, index) => {
+      const at = `probes[${index}]`,
+        sides = header.objects.flatMap(({ behind }, i) => [i, behind ?? i]);
+      keys(at, one, ["surface", "texel", "position_mm"]);
+      choice(at + ".surface", one.surface, sides);
+      numbers(at + ".position_mm", one.position_mm, 3, -FAR, FAR);
+      if (!Array.isArray(one.texel) || one.texel.length !== 2) throw refusal(at + ".texel", one.texel, "2 × 0, 1 …");
+      I.surfaces(header)[one.surface].texels.forEach((count, i) => whole(`${at}.texel[${i}]`, one.texel[i], count));
+    });
     return page;
   };
 
   // ---- spectra of light in files
 
+  // The value at a place between points [place, value] of increasing places, by straight lines.
+  I.onLine = function (points, at) {
+    const next = points.findIndex(([place]) => place > at),
+      i = next < 0 ? points.length - 1 : Math.max(next, 1),
+      [a, b] = [points[i - 1], points[i]];
+    return a[1] + ((b[1] - a[1]) * (at - a[0])) / (b[0] - a[0]);
+  };
+
+  // The mean of straight lines between points over a triangle of this half width about a place; see `_average_matrix` in
+  // irodori/spectra/resampling.py.
+  function triangleMean(points, at, half) {
+    const inside = points.map(([place]) => place).filter((place) => Math.abs(place - at) < half && place !== at);
+    const knots = [at - half, ...inside, at, at + half].sort((a, b) => a - b);
+    const weighted = (place) => I.onLine(points, place) * (1 - Math.abs(place - at) / half);
+    // Line times line is a parabola, for which Simpson's rule is exact.
+    const parts = knots.slice(1).map((b, i) => {
+      const a = knots[i];
+      return ((b - a) * (weighted(a) + 4 * weighted((a + b) / 2) + weighted(b))) / 6;
+    });
+    return parts.reduce((sum, one) => sum + one, 0) / half;
+  }
+
+  // Rows of wavelength in nm and power, by increasing wavelength. Cells are separated by semicolons or white space, and
+  // may then have decimal commas, or else by commas; lines that begin with no number are words.
+  function tableRows(text, label) {
+    const all = text.replace(/^\uFEFF/, "").split(/\r?\n/),
+      lines = all.filter((line) => /^\s*[-+.\d]/.test(line));
+    // The same words as in irodori/spectra/spectral_files.py.
+    const photons = /(^|[^a-z])(photons?(flux)?|quanta|quantum flux|[uµμ]mol|micromol)(?![a-z])/i,
+      words = all.find((line) => !lines.includes(line) && photons.test(line));
+    if (words !== undefined) throw new I.Refusal("bad_table_photons", { file: label, found: words.trim().slice(0, 40) });
+    const rows = lines.map((line) => {
+      const filled = line.trim().replace(/[,;\s]+$/, ""), // a spreadsheet's empty columns are cut off
+        cells = filled.split(/[;\s]+/).map((cell) => cell.replace(/,$/, ""));
+      return cells.length > 1 ? cells : filled.split(",");
+    });
+    const hasCommas = rows.some((row) => row.some((cell) => cell.includes(",")));
+    const numbers = rows.map((row, i) => {
+      const pair = row.map((cell) => (hasCommas && cell.includes(".") ? NaN : Number(cell.replace(",", "."))));
+      if (pair.length !== 2 || row.includes("") || !pair.every(Number.isFinite))
+        throw new I.Refusal("bad_table_row", { file: label, found: lines[i].slice(0, 40) });
+      return pair;
+    });
+    numbers.sort((a, b) => a[0] - b[0]);
+    const twice = numbers.find(([nm], i) => i > 0 && nm === numbers[i - 1][0]);
+    if (twice) throw new I.Refusal("bad_table_twice", { file: label, nm: twice[0] });
+    return numbers;
+  }
+
   // A table of wavelength in nm and power, at 400, 405, ... 700 nm.
   I.powerOfTable = function (text, label) {
-    const rows = [];
-    for (const line of text.replace(/^\uFEFF/, "").split(/\r?\n/)) {
-      const cells = line
-        .trim()
-        .split(/[,;\t ]+/)
-        .filter((cell) => cell !== "");
-      if (cells.length < 2 || !/^[-+.\d]/.test(cells[0])) {
-        // The same words as in irodori/spectra/spectral_files.py.
-        if (/(^|[^a-z])(photons?(flux)?|quanta|quantum flux|[uµμ]mol|micromol)(?![a-z])/i.test(line))
-          throw new I.Refusal("bad_table_photons", { file: label, found: line.trim().slice(0, 40) });
-        continue;
-      }
-      const pair = cells.slice(0, 2).map(Number);
-      if (!pair.every(Number.isFinite)) throw new I.Refusal("bad_table_row", { file: label, found: line.slice(0, 40) });
-      rows.push(pair);
-    }
-    rows.sort((a, b) => a[0] - b[0]);
-    const last = rows.length - 1;
+    const rows = tableRows(text, label),
+      last = rows.length - 1;
     if (last < 1 || rows[0][0] > 400 || rows[last][0] < 700) {
       const found = last < 1 ? "–" : `${rows[0][0]}–${rows[last][0]} nm`;
       throw new I.Refusal("bad_table_span", { file: label, found: found });
     }
     if (rows.some((row) => row[1] < 0) || !rows.some((row) => row[1] > 0))
       throw new I.Refusal("bad_table_power", { file: label });
-    const at = function (nm) {
-      let i = 1;
-      while (i < last && rows[i][0] < nm) i++;
-      const [a, b] = [rows[i - 1], rows[i]];
-      if (b[0] === a[0]) return b[1];
-      return a[1] + (b[1] - a[1]) * Math.min(1, Math.max(0, (nm - a[0]) / (b[0] - a[0])));
-    };
-    // Lines of lamps in a table finer than 5 nm would fall between the samples: the mean over each sample's 5 nm.
-    const fine = (rows[last][0] - rows[0][0]) / last < 4;
+    // Lines of lamps in a table finer than the samples would fall between them.
+    const fine = rows.filter(([nm]) => nm >= 400 && nm <= 700).length > 61;
     const power = Array.from({ length: 61 }, (_, i) => {
-      const nm = 400 + 5 * i;
-      if (!fine) return at(nm);
-      const steps = [-2, -1, 0, 1, 2].map((d) => at(Math.min(700, Math.max(400, nm + d))));
-      return steps.reduce((sum, one) => sum + one, 0) / 5;
+      const nm = 400 + 5 * i,
+        half = fine ? Math.min(5, nm - rows[0][0], rows[last][0] - nm) : 0;
+      return half > 0 ? triangleMean(rows, nm, half) : I.onLine(rows, nm);
     });
     const top = Math.max(...power);
     if (!(top > 0)) throw new I.Refusal("bad_table_power", { file: label });

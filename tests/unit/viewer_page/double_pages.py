@@ -26,11 +26,13 @@ def header_of(scene: Scene) -> dict:
     names = ("D65", "D50", "A", "E", "FL2", "FL11", "LED-B3", "LED-B5")
     pair = {"mean": 0.04, "p99": 0.21}
     return {
-        "schema_version": 1,
+        "schema_version": 2,
         "scene": "still-life",
         "title": "Still life",
         "description": scene.description,
-        "objects": OBJECTS,
+        "objects": [{"texels": [16, 16], **one} for one in OBJECTS],
+        "sides": [],
+        "displays": [{"name": name} for name in ("sRGB", "Display P3")],
         "environments": ["classroom"],
         "lamps": [],
         "most_uncertainty": 0.08,

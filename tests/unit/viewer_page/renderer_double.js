@@ -20,7 +20,7 @@ window.Irodori = window.Irodori || {};
 
   I.Renderer = class {
     constructor(canvas, data) {
-      if (window.noWebGL2) throw Object.assign(new Error("no WebGL 2"), { code: "no-webgl2" });
+      if (window.noWebGL2) throw new I.Refusal("no_webgl2");
       [this.canvas, this.header] = [canvas, data.header];
       this.ready = Promise.resolve();
     }
@@ -151,19 +151,25 @@ window.Irodori = window.Irodori || {};
         .reverse()
         .find((one) => Math.hypot(one.x - x, one.y - y) < one.r);
       if (!disc) return null;
+      return this.known({ surface: disc.i, texel: [3, 4], position_mm: [...state.objects[disc.i].position_mm] });
+    }
+
+    known(place) {
       const reflectance = Array.from({ length: 61 }, (_, i) => 0.1 + 0.6 / (1 + Math.exp((40 - i) / 4)));
       return {
-        object: state.objects[disc.i].name,
-        texel: [3, 4],
-        position_mm: [...state.objects[disc.i].position_mm],
+        ...place,
+        object: this.header.objects[place.surface].name,
         reflectance,
-        sigma: reflectance.map(() => 0.01),
+        sigma: reflectance.map((_, i) => 0.01 + 0.0005 * i),
         alpha: 0.9,
         beta: 0.4,
         mu_rad: NaN,
         status: "paint",
-        xyz: [20, 20, 20],
       };
+    }
+
+    missing() {
+      return window.missingLight ?? [];
     }
 
     knowsLight() {

@@ -4,6 +4,7 @@ import base64
 import io
 import itertools
 import json
+import math
 import re
 from importlib import resources
 
@@ -18,6 +19,7 @@ from irodori.config.models import Scene
 from irodori.config.pages import MOST_LAMPS
 from irodori.config.validation import validate
 from irodori.core.yaml_files import read_yaml
+from irodori.spectra.published import light
 from irodori.viewer.lesson import lesson_for_page
 
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
@@ -205,6 +207,10 @@ def address(content) -> str:
 
 LIGHT = {"environment": "classroom", "turn_deg": 0, "illuminant": None, "lamps": []}
 PROFILE = {"label": "x", "xyz_from_rgb": [[1, 0, 0]] * 3, "codes": []}
+CORNERS = ("red_xy", "green_xy", "blue_xy", "white_xy")
+PRIMARIES = dict(zip(CORNERS, ([0.64, 0.33], [0.3, 0.6], [0.15, 0.06], [0.3127, 0.329]), strict=True)) | {"gamma": 2.2}
+EQUAL = {**{corner: [0.3, 0.3] for corner in CORNERS}, "gamma": 2}
+PLACE = {"surface": 0, "texel": [3, 4], "position_mm": [0, 0, 0]}
 FAULTS = {
     "camera.distance_mm": {"state": {"camera": {"distance_mm": -1}}},
     "camera.azimuth_deg": {"state": {"camera": {"azimuth_deg": "x"}}},
@@ -224,8 +230,25 @@ FAULTS = {
     "display.primaries.red_xy": {"state": {"display": {"primaries": {"red_xy": [1]}}}},
     "compare.mode": {"compare": {"mode": "sniff", "at": 0, "other": None}},
     "compare.at": {"compare": {"mode": "rgb", "at": 2, "other": LIGHT}},
-    "probes": {"probes": [[0, 0, 0]] * 3},
+    "probes": {"probes": [PLACE] * 3},
+    "probes[0]": {"probes": [[0, 0, 0]]},
+    "probes[0].surface": {"probes": [PLACE | {"surface": 4}]},
+    "probes[0].texel[1]": {"probes": [PLACE | {"texel": [0, 16]}]},
+    "probes[0].texel[0]": {"probes": [PLACE | {"texel": [0.5, 0]}]},
     "__proto__": '{"__proto__": {"x": 1}}',
+    "state is null": {"state": None},
+    "state.camera is null": {"state": {"camera": None}},
+    "state.light is [1]": {"state": {"light": [1]}},
+    "light.illuminant.power is [1]": {"state": {"light": {"illuminant": {"name": "A", "power": [1]}}}},
+    "light.illuminant.cct_K": {"state": {"light": {"illuminant": {"name": "A", "cct_K": 3000}}}},
+    "light.environment is null": {"state": {"light": {"environment": None}}},
+    "step is 50": {"step": 50},
+    "step is 7": {"step": 7},
+    "step is 0.5": {"step": 0.5},
+    "display.name": {"state": {"display": {"name": "Adobe RGB (1998)"}}},
+    'display.name is "sRGB"': {"state": {"display": {"name": "sRGB", "primaries": PRIMARIES}}},
+    "display.primaries.white_xy": {"state": {"display": {"primaries": EQUAL}}},
+    "white_xy is [0.8,0.8]": {"state": {"display": {"primaries": PRIMARIES | {"white_xy": [0.8, 0.8]}}}},
 }  # fmt: skip
 
 
@@ -236,11 +259,90 @@ def test_a_faulty_address_is_refused_in_one_sentence_and_the_scene_is_shown(visi
         one.page.evaluate("(hash) => { location.hash = hash; }", address(content))
         one.says(field)
         assert one.state() == start
-    for hash_ in ("#v1.!!!", "#v0.e30", "#nothing", "#v1." + "A" * 5000):
+    for hash_ in ("#v1.!!!", "#v0.e30", "#nothing", "#v1." + "A" * 5000, address("null"), address("[]"), address("1")):
         one.page.evaluate("document.getElementById('message').textContent = ''")
         one.page.evaluate("(hash) => { location.hash = hash; }", hash_)
         one.says("address")
         assert one.state() == start
+
+
+def test_what_the_page_offers_is_taken_from_an_address(visit):
+    one = visit()
+    lights = ({"name": "A"}, {"cct_K": 3000}, {"power": [1] * 61, "label": "even"})
+    displays = ({"name": "sRGB"}, {"name": "Display P3"}, {"primaries": PRIMARIES})
+    for fields in ({"step": 6}, {"probes": [PLACE, PLACE | {"surface": 3, "texel": [15, 15]}]},
+                   *({"state": {"display": display}} for display in displays),
+                   *({"state": {"light": {"illuminant": illuminant}}} for illuminant in lights)):  # fmt: skip
+        assert one.page.evaluate(
+            "(hash) => { const app = Irodori.app, page = Irodori.hashToPage(hash, app.base, app.header, app.lesson);"
+            " return Irodori.pageToHash(page, app.base); }",
+            address(fields)[1:],
+        ).startswith("v1.")
+
+
+def hidden_plate(visit) -> str:
+    """Probe the plate, walk to where a ball hides it, and return the page's address."""
+    visit.tool("probe")
+    box = visit.page.locator("#picture").bounding_box()
+    x, y = place_of(visit, 0)
+    visit.page.mouse.click(box["x"] + x, box["y"] + y)
+    visit.page.evaluate(
+        "() => { const app = Irodori.app;"
+        " Object.assign(app.page.state.camera, {azimuth_deg: -36.5, elevation_deg: 27}); app.changed(); }"
+    )
+    probed = visit.settled()["probes"]
+    seen = visit.page.evaluate(
+        "(at) => Irodori.renderer.probe(Irodori.page().state, ...Irodori.app.pixels(...at)).object", place_of(visit, 0)
+    )
+    assert seen == "leaf-sphere" and len(probed) == 1
+    return visit.page.evaluate("location.hash")
+
+
+def test_a_hidden_point_keeps_its_object_when_its_address_is_opened(visit):
+    one = visit()
+    hash_ = hidden_plate(one)
+    before, words_before = one.state(), one.page.locator("#card").inner_text()
+    assert "Tiled plate" in words_before
+    again = visit(hash_)
+    assert again.settled() == before
+    assert again.page.locator("#card").inner_text() == words_before
+
+
+def test_a_saved_picture_shows_its_probe_while_the_camera_is_still_on_its_way(visit):
+    one = visit()
+    hash_ = hidden_plate(one)
+    moving = visit(reduced_motion="no-preference")
+    plain = io.BytesIO()
+    Image.new("RGB", (4, 4)).save(plain, "png")
+    drop(moving, "saved.png", bytes(moving.page.evaluate(
+        "([png, text]) => [...Irodori.pngWithText(Uint8Array.from(png), text)]", [list(plain.getvalue()), hash_[1:]]
+    )))  # fmt: skip
+    moving.says("state is shown again")
+    assert "Tiled plate" in moving.page.locator("#card").inner_text()
+    assert moving.settled() == one.state()
+    assert "Tiled plate" in moving.page.locator("#card").inner_text()
+
+
+def test_the_error_band_is_told_with_its_ends(visit):
+    """The double's errors rise from 0.01 at 400 nm to 0.04 at 700 nm."""
+    one = visit(address({"probes": [PLACE]}))
+    told = one.page.locator("#card").inner_text()
+    assert "±0.020 at 400 nm" in told and "±0.080 at 700 nm" in told
+    one.page.evaluate(
+        "() => { const {renderer} = Irodori, known = renderer.known;"
+        " renderer.known = (place) => ({...known.call(renderer, place), sigma: null}); Irodori.app.showCard(); }"
+    )
+    assert "error is not known" in one.page.locator("#card").inner_text()
+    assert one.page.locator("#card path.band").count() == 0
+
+
+def test_a_light_that_the_room_cannot_give_is_told(visit):
+    one = visit(script="window.missingLight = [400, 405, 410, 700]")
+    one.page.locator("#tab-light").click()
+    note = one.page.locator("#page-light p.hint[role=status]")
+    assert "no power at 400–410 nm, 700 nm" in note.inner_text()
+    one.page.evaluate("window.missingLight = []; Irodori.app.changed()")
+    assert note.is_hidden()
 
 
 def saved(visit, press) -> bytes:
@@ -327,6 +429,52 @@ def test_a_table_of_a_light_becomes_the_light(visit):
         one.says("tube.csv")
         power = one.state()["state"]["light"]["illuminant"]["power"]
         assert (sum(power) - 61 * min(power)) / min(power) == pytest.approx(99 / 5, rel=0.02)
+
+
+GRID = range(380, 741, 5)
+UNEVEN = [395 + 0.7 * i + 0.2 * (i % 3) for i in range(450)]
+TABLES = {
+    "commas": "nm,W\n" + "".join(f"{nm},{0.3 + nm / 1000:.3f}\n" for nm in GRID),
+    "semicolons and decimal commas": "nm;W\n" + "".join(f"{nm};{10 + nm / 7:.3f}\n".replace(".", ",") for nm in GRID),
+    "small numbers": "".join(f"{nm};{nm / 1e4:.4f}\n".replace(".", ",") for nm in GRID),
+    "tabs": "".join(f"{nm:.1f}\t{10 + nm / 7:.3f}\n".replace(".", ",") for nm in GRID),
+    "spaces": "".join(f"{nm} {10 + nm / 7:.3f}\n".replace(".", ",") for nm in GRID),
+    "commas and spaces": "".join(f"{nm}, {10 + nm / 7:.3f}\n" for nm in GRID),
+    "1 nm": "".join(f"{nm},{1 + 100 * (nm == 546)}\n" for nm in range(390, 711)),
+    "from 400 to 700 nm": "".join(f"{nm / 2},{1 + nm % 7}\n" for nm in range(800, 1401)),
+    "uneven": "".join(f"{nm:.2f},{2 + math.sin(nm):.4f}\n" for nm in UNEVEN),
+    **{f"0.3 nm, line at {line}": "".join(
+        f"{380 + 0.3 * i:.1f},{0.001 + math.exp(-(((380 + 0.3 * i - line) / 0.25) ** 2)):.5f}\n" for i in range(1134))
+       for line in (532.0, 532.5)},
+}  # fmt: skip
+
+
+def test_tables_of_light_are_read_as_the_program_reads_them(visit, tmp_path):
+    one = visit()
+    for name, text in TABLES.items():
+        file = tmp_path / "light.spd"
+        file.write_text(text, encoding="utf-8")
+        wanted = light(str(file))
+        found = one.page.evaluate("(text) => Irodori.powerOfTable(text, 'light.txt').power", text)
+        assert found == pytest.approx(list(wanted / wanted.max()), rel=2e-5, abs=1e-12), name
+
+
+def test_tables_of_light_that_can_be_read_in_two_ways_are_refused(visit):
+    one = visit()
+    head = "".join(f"{nm};{nm}\n" for nm in range(380, 741, 10))
+    for rows, sentence in (
+        ("750;1.5\n760;1,5\n", "750;1.5"),
+        ("750,10,5\n", "750,10,5"),
+        ("750;1;2\n", "750;1;2"),
+        ("750;\n", "750;"),
+        ("400;1\n", "two rows for 400 nm"),
+    ):
+        said = one.page.evaluate(
+            "(text) => { try { return Irodori.powerOfTable(text, 'x.csv').power.join(); }"
+            " catch (error) { return Irodori.sentence(error); } }",
+            head + rows,
+        )
+        assert sentence in said
 
 
 # ---- the teacher
@@ -453,6 +601,25 @@ def test_without_webgl2_there_is_the_rendered_picture_and_a_sentence(visit):
     assert "no WebGL 2" in one.page.locator("#poster-text").inner_text()
     assert one.page.locator("#poster-picture").bounding_box()["width"] > 300
     assert not one.page.locator("main").is_visible()
+
+
+NO_FLOATS = """const own = WebGL2RenderingContext.prototype.getExtension;
+WebGL2RenderingContext.prototype.getExtension = function (name) {
+  return /float/.test(name) ? null : own.call(this, name);
+};
+"""
+
+
+@pytest.mark.parametrize(("script", "sentence"), [
+    (NO_FLOATS, "EXT_color_buffer_float"), ("delete window.DecompressionStream", "DecompressionStream"),
+    ("HTMLCanvasElement.prototype.getContext = () => null", "no WebGL 2"),
+])  # fmt: skip
+def test_what_the_browser_lacks_is_named(visit, drawn_page_file, script, sentence):
+    one = visit(script=script, ready=False, file=drawn_page_file)
+    one.page.wait_for_selector("body.still")
+    assert sentence in one.page.locator("#poster-text").inner_text()
+    one.page.set_viewport_size({"width": 900, "height": 700})
+    one.page.evaluate("() => new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))")
 
 
 def test_a_damaged_payload_is_told_in_a_sentence(visit):
