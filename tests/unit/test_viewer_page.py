@@ -6,8 +6,10 @@ The browser is Debian's chromium with its renderer in software; without one all 
 import base64
 import json
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from pages import painted, room, sources, write_mesh
@@ -15,16 +17,19 @@ from scenes import fresnel
 from written_pages import SIZE, Written, agree, differences, inside
 
 import irodori.viewer
+from irodori.core.custody import accept
+from irodori.core.errors import InputError
 from irodori.export.pictures import write_spectral_exr
 from irodori.geometry.rig_frame import look_at, rotation_xyz
 from irodori.rendering.scene_arrays import make_view
+from irodori.spectra.grid import ERROR_NM, WAVELENGTH_NM
 from irodori.viewer import viewer_command
 from irodori.viewer.browser import FLAGS, browser_command, opened
 from irodori.viewer.measured import frame_bands, prepared
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import page_html
 from irodori.viewer.payload import read_payload
-from irodori.viewer.stage import encode_viewer, export_viewer, finish_viewer
+from irodori.viewer.stage import checks, encode_viewer, export_viewer, finish_viewer
 from irodori.viewer.viewer_command import payload_of
 
 pytestmark = pytest.mark.skipif(
@@ -223,6 +228,64 @@ def test_a_probe_tells_what_the_material_says(written, page):
     assert found["beta"] == pytest.approx(material.beta[tuple(found["texel"])], rel=0.03)
     assert np.linalg.norm(np.subtract(found["position_mm"], [-12.0, 4.0, 20.1])) == pytest.approx(20.0, abs=0.01)
     assert page.page.evaluate("([s]) => Irodori.renderer.probe(s, 1, 1)", [state]) is None
+
+
+def add_errors(path, seed: int, nm=ERROR_NM) -> np.ndarray:
+    """Add standard errors to a material's file, over the range of measured ones, one texel unknown; return them."""
+    errors = 0.34 * np.exp(np.random.default_rng(seed).uniform(-5.5, 0.0, (12, 16, len(ERROR_NM)))).astype(np.float32)
+    errors[3, 5] = np.nan
+    with h5py.File(path, "a") as file:
+        file["spectral_error"], file["error_wavelength"] = errors, nm
+        file["reflectance_error"] = np.sqrt((errors**2).mean(axis=-1))
+    accept(path)
+    return errors
+
+
+def test_a_probes_error_band_is_the_files_at_every_wavelength(tmp_path):
+    given = sources(tmp_path / "files", room())
+    errors = [add_errors(path, seed) for seed, path in enumerate(given.materials)]
+    data = page_data(given)
+    payload = data.payload({})
+    planes = read_payload(payload)[1]
+    for number, wanted in enumerate(errors):
+        found = np.moveaxis(planes[f"object/{number}/spectral_error"], 0, -1)
+        known = np.isfinite(wanted)
+        np.testing.assert_allclose(found[known], wanted[known], rtol=0.08)  # as docs/viewer.md states
+        assert not found[~known].any()
+    path = tmp_path / "page.html"
+    path.write_text(page_html("A page", payload), encoding="utf-8")
+    with opened(path) as page:
+        places = [{"surface": 1, "texel": texel, "position_mm": [0, 0, 0]} for texel in ([7, 11], [3, 5])]
+        known, unknown = page.page.evaluate("(places) => places.map((p) => Irodori.renderer.known(p))", places)
+    at = np.isin(WAVELENGTH_NM, ERROR_NM)
+    assert known["object"] == "plate" and known["texel"] == [7, 11]
+    np.testing.assert_allclose(np.array(known["sigma"])[at], errors[1][7, 11], rtol=0.08)
+    np.testing.assert_allclose(known["sigma"], np.interp(WAVELENGTH_NM, ERROR_NM, np.array(known["sigma"])[at]))
+    assert unknown["sigma"] is None
+
+
+def test_errors_at_other_wavelengths_are_refused(tmp_path):
+    given = sources(tmp_path, room())
+    add_errors(given.materials[0], 1, ERROR_NM + 1.0)
+    with pytest.raises(InputError, match="error_wavelength"):
+        page_data(given)
+
+
+def test_a_room_without_some_wavelengths_says_what_an_exchanged_light_lacks(tmp_path):
+    full = room()
+    weak = np.where(WAVELENGTH_NM < 425.0, 2e-5, 1.0)[:, None]  # less than 1e-4 of the peak, but not 0
+    written = Written(tmp_path, sources(tmp_path / "files", replace(full, basis=full.basis * weak)))
+    # The page's checks exchange no light that neither renderer can give.
+    lights = {json.dumps(check.light["illuminant"]) for check in checks(written.data, written.scenes, written.view)}
+    assert lights == {"null"}
+    with opened(written.path) as page:
+        lights = [None, {"name": "A"}, {"power": [0.0] * 5 + [1.0] * 56}]
+        missing = page.page.evaluate(
+            """(lights) => { const {light} = Irodori.renderer.defaultState();
+              return lights.map((illuminant) => Irodori.renderer.missing({...light, illuminant})); }""",
+            lights,
+        )
+    assert missing == [[], [400, 405, 410, 415, 420], []]
 
 
 @pytest.mark.heavy

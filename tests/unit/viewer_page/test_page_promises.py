@@ -456,7 +456,8 @@ def test_tables_of_light_are_read_as_the_program_reads_them(visit, tmp_path):
         file.write_text(text, encoding="utf-8")
         wanted = light(str(file))
         found = one.page.evaluate("(text) => Irodori.powerOfTable(text, 'light.txt').power", text)
-        assert found == pytest.approx(list(wanted / wanted.max()), rel=2e-5, abs=1e-12), name
+        # The page keeps five digits.
+        assert found == pytest.approx(list(wanted / wanted.max()), rel=5.1e-5, abs=1e-12), name
 
 
 def test_tables_of_light_that_can_be_read_in_two_ways_are_refused(visit):
