@@ -248,8 +248,8 @@ window.Irodori = window.Irodori || {};
     return a[1] + ((b[1] - a[1]) * (at - a[0])) / (b[0] - a[0]);
   };
 
-  // The mean of straight lines between points over a triangle of this half width about a place; see `_average_matrix` in
-  // irodori/spectra/resampling.py.
+  // The mean of straight lines between points over a triangle of this half width about a place, as `_average_matrix` of
+  // irodori/spectra/resampling.py computes it.
   function triangleMean(points, at, half) {
     const inside = points.map(([place]) => place).filter((place) => Math.abs(place - at) < half && place !== at);
     const knots = [at - half, ...inside, at, at + half].sort((a, b) => a - b);
