@@ -12,6 +12,8 @@ rule compress_reflectance:
         "results/logs/compress_reflectance/{object}.log",
     benchmark:
         "results/benchmarks/compress_reflectance/{object}.tsv"
+    # Before the lobes of the next object are chosen: two of these jobs would wait for each other's kernels.
+    priority: 3
     conda:
         "../../envs/irodori.yaml"
     # Of a large object, nothing else can run meanwhile.
