@@ -270,7 +270,8 @@ window.Irodori = window.Irodori || {};
     // The same words as in irodori/spectra/spectral_files.py.
     const photons = /(^|[^a-z])(photons?(flux)?|quanta|quantum flux|[uµμ]mol|micromol)(?![a-z])/i,
       words = all.find((line) => !lines.includes(line) && photons.test(line));
-    if (words !== undefined) throw new I.Refusal("bad_table_photons", { file: label, found: words.trim().slice(0, 40) });
+    if (words !== undefined)
+      throw new I.Refusal("bad_table_photons", { file: label, found: words.trim().slice(0, 40) });
     const rows = lines.map((line) => {
       const filled = line.trim().replace(/[,;\s]+$/, ""), // a spreadsheet's empty columns are cut off
         cells = filled.split(/[;\s]+/).map((cell) => cell.replace(/,$/, ""));
