@@ -36,6 +36,7 @@ def test_the_mesh_is_an_input_of_every_rule_that_reads_it_and_of_no_other(projec
         "capture_object",
         "register_object",
         "rectify_object",
+        "compress_reflectance",  # whose material states what it was made of
         "render_view",
         "render_truth",
         "write_truth",

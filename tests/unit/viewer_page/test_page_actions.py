@@ -401,6 +401,9 @@ def test_random_actions_leave_no_error_and_no_number_lost(visit, drawn_page_file
             one.page.locator("#reset").click()
     page = one.settled()
     again = visit(one.page.evaluate("location.hash"), file=drawn_page_file, drawn=True, **_SMALL)
+    # A step that was added is in the edited page alone.
+    if page["step"] is not None and page["step"] >= again.page.evaluate("Irodori.lesson()?.steps.length ?? 0"):
+        page["step"] = None
     assert close(again.settled(), page)
 
 

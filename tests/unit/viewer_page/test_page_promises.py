@@ -242,8 +242,8 @@ FAULTS = {
     "light.illuminant.power is [1]": {"state": {"light": {"illuminant": {"name": "A", "power": [1]}}}},
     "light.illuminant.cct_K": {"state": {"light": {"illuminant": {"name": "A", "cct_K": 3000}}}},
     "light.environment is null": {"state": {"light": {"environment": None}}},
-    "step is 50": {"step": 50},
-    "step is 7": {"step": 7},
+    "step is 100": {"step": 100},
+    "step is -1": {"step": -1},
     "step is 0.5": {"step": 0.5},
     "display.name": {"state": {"display": {"name": "Adobe RGB (1998)"}}},
     'display.name is "sRGB"': {"state": {"display": {"name": "sRGB", "primaries": PRIMARIES}}},
@@ -278,6 +278,11 @@ def test_what_the_page_offers_is_taken_from_an_address(visit):
             " return Irodori.pageToHash(page, app.base); }",
             address(fields)[1:],
         ).startswith("v1.")
+
+
+def test_an_address_of_a_step_that_another_page_has_shows_its_picture_without_a_step(visit):
+    one = visit(address({"step": 50, "state": {"exposure_ev": 1.5}}))
+    assert (one.settled()["step"], one.settled()["state"]["exposure_ev"]) == (None, 1.5)
 
 
 def hidden_plate(visit) -> str:
@@ -505,7 +510,8 @@ def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path
     assert lesson.steps[2].text["en"] == "First.\n\nSecond # not a comment"
     again = page.evaluate(
         "([lesson, base]) => Irodori.pageOfStep(lesson.steps[2], 2, base, {illuminants: [{name: 'D65'}, {name: 'A'}],"
-        " environments: ['classroom'], observers: [{name: base.state.observer}], views: []})",
+        " environments: ['classroom'], observers: [{name: base.state.observer}], views: [],"
+        " displays: [{name: 'sRGB'}]})",
         [lesson_for_page(lesson), visit().state()],
     )
     assert close(again["state"]["camera"], shown["state"]["camera"])
