@@ -56,17 +56,18 @@ def choose_lobes(
     every = Readings.of_band(seen, GREEN, fresnel.n, fresnel.k)
     few = drawn(np.count_nonzero(every.weight > 0.0, axis=1), MOST_TEXELS, ENOUGH_OBSERVATIONS)
     tried, coats = candidates(options, None if AUTO in lobes else tuple(lobes), coats_of(coat)), coats_of(coat)
-    paint_of, share = {}, None
+    paint, share = np.full(len(every.response), -1), None
     if options.gloss_by_paint:
         lobe = next((one.lobes for one in tried if len(one.lobes) == 1), DEFAULT_LOBES)
-        for name in coats:
-            own = replace(options, lobes=lobe, coat=name, solver="varpro")
-            paint_of[name] = _paint_of(seen, every, own, fresnel)
-        with_paint = np.all([paint[few] >= 0 for paint in paint_of.values()], axis=0)
-        share = float(with_paint.mean()) if len(few) else 0.0
-        few = few[with_paint] if share >= _LEAST_PAINTED else few
+        labels = [
+            _paint_of(seen, every, replace(options, lobes=lobe, coat=name, solver="varpro"), fresnel) for name in coats
+        ]
+        # Under a wrong coat, the colours of a paint scatter; its texels are the same under each.
+        paint = max(labels, key=lambda one: np.count_nonzero(one[few] >= 0))
+        share = float((paint[few] >= 0).mean()) if len(few) else 0.0
     by_paint = share is not None and share >= _LEAST_PAINTED
-    paints = {name: painted(every, paint, few) for name, paint in paint_of.items()} if by_paint else {}
+    few = few[paint[few] >= 0] if by_paint else few
+    paints = {name: painted(every, paint, few) for name in coats} if by_paint else {}
     sample = every[few]
     chosen, found = choose(sample, options, tried, paints)
     favours_tails = share is not None and not by_paint and len(chosen.lobes) == 1 and AUTO in lobes
