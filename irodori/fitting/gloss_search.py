@@ -7,7 +7,6 @@ with analytic derivatives (variable projection: Golub and Pereyra 1973; Kaufman 
 photographs, which contains noise, errors of the photographs, and a lobe of another form.
 """
 
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,7 +28,7 @@ _LEAST_PHOTOGRAPHS = 6  # photographs from which the jackknife tells errors of f
 _SMALLEST = 1e-4  # β below which there is no component
 _REGULAR = 1e-6  # smallest determinant of two normalised lobes that can be separated
 _GROUPS = 8  # of photographs that are left out together in the search for a start
-_SIGNIFICANT = 1.0  # standard errors by which photographs prefer one minimum to another, as in the choice of lobes
+_SIGNIFICANT = 2.0  # standard errors by which photographs must prefer one order of two lobes to the other
 _ANGLE = 1e-4  # rad, by which φ is changed to see how a response changes with it
 _FIRST, _LEAST_VARYING = 0.1**2, 1e-8  # initial and smallest variance of the parameters of a paint's texels
 _MAXIMISED, _SETTLED = 100, 1e-3  # rounds of expectation maximisation, and the relative change that ends them
@@ -313,9 +312,9 @@ class GlossSearch:
         """
         model, gloss = self.model, self.model.gloss(place)
         # Without bad photographs, but with single readings that differ, as those of texels with another gloss do.
-        with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # a photograph without readings
-            kept = np.nan_to_num(np.nanmedian(self.weight / self.plain, axis=0))
+        kept, used = np.zeros(model.seen.shape[1]), model.seen.any(axis=0)
+        share = np.where(model.seen, self.weight / np.where(model.seen, self.plain, 1.0), np.nan)
+        kept[used] = np.nanmedian(share[:, used], axis=0)
         good = self.plain * kept
         slope, normal = model.by_texel(place, good)
         squares = (model.projected(good, model.response - gloss) ** 2).sum(axis=1)
