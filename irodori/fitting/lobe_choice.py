@@ -127,8 +127,9 @@ def painted(readings: Readings, paint: np.ndarray, sample: np.ndarray) -> list[P
 def told_by(
     paints: Mapping[str, Sequence[PaintedTexels]], options: FitOptions, tried: Iterable[Candidate]
 ) -> list[Candidate]:
-    """Return the candidates without sums of two lobes that no paint tells; all of them if none is left.
+    """Return the candidates without sums of two lobes that no paint tells under any coat; all if none is left.
 
+    Lobes that a paint tells under one coat are tried under each: which coat it is, left-out photographs decide.
     Without paints, a sum of two is a matter of single texels. Parameters as in `choose`.
     """
     tried = list(tried)
@@ -137,7 +138,8 @@ def told_by(
         seen, own = paints.get(one.coat, ()), replace(options, **one._asdict())
         return not seen or any(paint.tells(own) for paint in seen)
 
-    return [one for one in tried if is_told(one)] or tried
+    told = {one.lobes for one in tried if is_told(one)}
+    return [one for one in tried if one.lobes in told] or tried
 
 
 def choose(
