@@ -29,6 +29,7 @@ _SMALLEST = 1e-4  # β below which there is no component
 _REGULAR = 1e-6  # smallest determinant of two normalised lobes that can be separated
 _GROUPS = 8  # of photographs that are left out together in the search for a start
 _SIGNIFICANT = 2.0  # standard errors by which photographs must prefer one order of two lobes to the other
+_FLATTEST = 0.1  # smallest curvature of the loss that is believed, relative to the normal matrix
 _ANGLE = 1e-4  # rad, by which φ is changed to see how a response changes with it
 _FIRST, _LEAST_VARYING = 0.1**2, 1e-8  # initial and smallest variance of the parameters of a paint's texels
 _MAXIMISED, _SETTLED = 100, 1e-3  # rounds of expectation maximisation, and the relative change that ends them
@@ -203,6 +204,21 @@ class _Model:
             moved.append(np.linalg.lstsq(columns @ columns.T, columns @ off, rcond=1e-12)[0])
         return np.array(moved).reshape(-1, len(log_gloss))
 
+    def stretch(self, log_gloss: np.ndarray, plain: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Return by how much a change of the parameters grows as outliers lose their weight, (p, p).
+
+        A reading that moves the fit away from others takes their weight from them. So the curvature of the loss whose
+        weights these are (Huber and Ronchetti 2009, section 7.6) is smaller than the normal matrix of the weights.
+        """
+        columns = self.projected(weight, self.slopes(log_gloss)[1])
+        beyond = 1.0 - np.sqrt(weight / np.where(self.seen, plain, 1.0))  # z² / (1 + z²), z in `_OUTLYING` residuals
+        slope = np.where(self.seen, 1.0 - 4.0 * beyond, 0.0)  # of the influence of a reading, relative to its weight
+        normal, curvature = np.einsum("itj,ktj,ntj->nik", columns, columns, np.stack([np.ones_like(slope), slope]))
+        inverse = np.linalg.inv(np.linalg.cholesky(normal))
+        size, along = np.linalg.eigh(inverse @ curvature @ inverse.T)
+        axes = inverse.T @ along
+        return axes / np.clip(size, _FLATTEST, 1.0) @ axes.T @ normal
+
     def is_seen(self, log_gloss: np.ndarray) -> bool:
         """Return whether at least two photographs show each component near its peak."""
         peak = self.angles.copy()
@@ -297,8 +313,8 @@ class GlossSearch:
         moved = model.without_each(place, self.weight)
         if len(moved) < _LEAST_PHOTOGRAPHS:
             return None
-        apart = moved - moved.mean(axis=0)
-        error = (len(moved) - 1) / len(moved) * apart.T @ apart + np.diag(_IS_BETA * model.options.level_error**2)
+        moved = moved @ model.stretch(place, self.plain, self.weight).T
+        error = _jackknife(moved) + np.diag(_IS_BETA * model.options.level_error**2)
         if not (np.sqrt(np.diag(error)) < _LIMIT).all():
             return None
         varying, excess = self._variation(place)
@@ -346,6 +362,19 @@ class GlossSearch:
 def _pairs(values: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield β and μ of each component from parameters, (p, ...)."""
     return zip(values[::2], values[1::2], strict=True)
+
+
+def _jackknife(moved: np.ndarray) -> np.ndarray:
+    """Return the covariance of parameters by their changes without each photograph, (photographs, p).
+
+    Few photographs show a peak, and a variance of few numbers is uncertain. Its degrees of freedom ν follow from the
+    fourth powers (Satterthwaite 1946), and the variance is that of Student's t, ν / (ν - 2) times as large. As three
+    fourth powers count as one, ν is at least 3.
+    """
+    squares = (moved - moved.mean(axis=0)) ** 2
+    free = np.clip(3.0 * squares.sum(axis=0) ** 2 / np.maximum((squares**2).sum(axis=0), 1e-300), 3.0, len(moved) - 1.0)
+    apart = (moved - moved.mean(axis=0)) * np.sqrt(free / (free - 2.0))
+    return (len(moved) - 1) / len(moved) * apart.T @ apart
 
 
 def _is_less(losses: np.ndarray, others: np.ndarray) -> bool:
