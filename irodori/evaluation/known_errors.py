@@ -235,6 +235,8 @@ class Known:
         """
         own = Material.load(files["material"])
         fitted = FittedTiles(files["tiles"], *own.alpha.shape)
+        with store.open_file(files["material"]) as file:
+            fitted.misfit = file.attribute("errors", dict).get("lobe_choice_misfit", 1.0)
         of_gloss = [f"{name}_error" for name in gloss_maps(own.lobes)]
         parts = [maps for _, maps in fitted.read("diffuse_response", "diffuse_variance", *of_gloss)]
         maps = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

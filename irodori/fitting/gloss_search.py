@@ -29,6 +29,7 @@ _SMALLEST = 1e-4  # β below which there is no component
 _REGULAR = 1e-6  # smallest determinant of two normalised lobes that can be separated
 _GROUPS = 8  # of photographs that are left out together in the search for a start
 _SIGNIFICANT = 2.0  # standard errors by which photographs must prefer one order of two lobes to the other
+_DETERMINED = 1e-9  # smallest eigenvalue of the normalised normal matrix of parameters that are determined
 _FLATTEST = 0.1  # smallest curvature of the loss that is believed, relative to the normal matrix
 _ANGLE = 1e-4  # rad, by which φ is changed to see how a response changes with it
 _FIRST, _LEAST_VARYING = 0.1**2, 1e-8  # initial and smallest variance of the parameters of a paint's texels
@@ -204,8 +205,10 @@ class _Model:
             moved.append(np.linalg.lstsq(columns @ columns.T, columns @ off, rcond=1e-12)[0])
         return np.array(moved).reshape(-1, len(log_gloss))
 
-    def stretch(self, log_gloss: np.ndarray, plain: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    def stretch(self, log_gloss: np.ndarray, plain: np.ndarray, weight: np.ndarray) -> np.ndarray | None:
         """Return by how much a change of the parameters grows as outliers lose their weight, (p, p).
+
+        None if the readings do not determine all parameters.
 
         A reading that moves the fit away from others takes their weight from them. So the curvature of the loss whose
         weights these are (Huber and Ronchetti 2009, section 7.6) is smaller than the normal matrix of the weights.
@@ -214,6 +217,9 @@ class _Model:
         beyond = 1.0 - np.sqrt(weight / np.where(self.seen, plain, 1.0))  # z² / (1 + z²), z in `_OUTLYING` residuals
         slope = np.where(self.seen, 1.0 - 4.0 * beyond, 0.0)  # of the influence of a reading, relative to its weight
         normal, curvature = np.einsum("itj,ktj,ntj->nik", columns, columns, np.stack([np.ones_like(slope), slope]))
+        size = np.sqrt(np.diag(normal))
+        if not (size > 0.0).all() or np.linalg.eigvalsh(normal / np.outer(size, size))[0] < _DETERMINED:
+            return None
         inverse = np.linalg.inv(np.linalg.cholesky(normal))
         size, along = np.linalg.eigh(inverse @ curvature @ inverse.T)
         axes = inverse.T @ along
@@ -311,10 +317,10 @@ class GlossSearch:
         if place is None or not self.is_ordered or not model.is_seen(place):
             return None
         moved = model.without_each(place, self.weight)
-        if len(moved) < _LEAST_PHOTOGRAPHS:
+        stretch = model.stretch(place, self.plain, self.weight)
+        if len(moved) < _LEAST_PHOTOGRAPHS or stretch is None:
             return None
-        moved = moved @ model.stretch(place, self.plain, self.weight).T
-        error = _jackknife(moved) + np.diag(_IS_BETA * model.options.level_error**2)
+        error = _jackknife(moved @ stretch.T) + np.diag(_IS_BETA * model.options.level_error**2)
         if not (np.sqrt(np.diag(error)) < _LIMIT).all():
             return None
         varying, excess = self._variation(place)

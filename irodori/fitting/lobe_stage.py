@@ -23,9 +23,9 @@ from irodori.reflection.registry import DEFAULT_LOBES
 #: Texels from which paints are found, at most, and the observations that each should have, fewer than to tell lobes.
 _MOST_SEEN, _ENOUGH_FOR_PAINT = 8192, 4
 _MISFIT = (
-    "no form of gloss predicts left-out readings better than within %.0f of their stated errors: lamp, aperture or a "
-    "pose differ between photographs from what was typed, or highlights clip; colours are stated with larger errors, "
-    "and gloss is not to be believed"
+    "no form of gloss predicts left-out readings better than within %.1f of their stated errors: lamp, aperture or a "
+    "pose differ between photographs from what was typed, the surface has another shape (a bent plate, a ball out of "
+    "round, other normals), or highlights clip; everything is stated with larger errors, and nothing is called ok"
 )
 _LEAST_PAINTED = 0.5  # share of the sample below which a choice of one lobe is said to rest on single texels
 

@@ -25,6 +25,8 @@ COLUMNS: dict[str, tuple[store.Units, str]] = {
     "nlopt_result": (NloptResult, "return code of NLopt"),
 }
 
+_DETERMINED = (Status.OK, Status.PAINT, Status.DIFFUSE_ONLY)
+
 #: Attributes of a tile that say how fast it was fitted.
 SPEED = ("fit_seconds", "texels_fitted")
 
@@ -73,6 +75,9 @@ class FittedTiles:
     angle_errors : dict
         Errors of the angles that the fit used, as `irodori.material.angle_errors.AngleErrors.plain`; empty if the tiles
         do not state them.
+    misfit : float
+        Multiplies all standard errors that are read; 1 unless it is set. Above 1 no model predicts the photographs
+        (`irodori.material.lobe_choices.Comparison.misfit`), and what a fit calls determined is contradicted.
 
     Raises
     ------
@@ -82,6 +87,7 @@ class FittedTiles:
 
     def __init__(self, paths: list, height: int, width: int) -> None:
         self.first, self.height, self.width, self.filters = paths[0], height, width, None
+        self.misfit = 1.0
         self.lobes: tuple[str, ...] = ()
         self.coat = SUM
         self.speed: dict = dict.fromkeys(SPEED, 0)
@@ -134,8 +140,17 @@ class FittedTiles:
         first, last = tile.rows
         part = slice(tile.start * self.width, (tile.start + last - first) * self.width)
         with store.open_file(tile.path) as file:
-            found = {name: file.read(name, part) for name in names}
+            found = {name: self._believed(name, file.read(name, part)) for name in names}
         return {name: one.reshape(last - first, self.width, *one.shape[1:]) for name, one in found.items()}
+
+    def _believed(self, name: str, values: np.ndarray) -> np.ndarray:
+        """Return a map as far as it is believed if the model contradicts left-out photographs."""
+        if self.misfit == 1.0:
+            return values
+        if name == "status":
+            return np.where(np.isin(values, _DETERMINED), np.array(Status.CONTRADICTED, values.dtype), values)
+        power = 1 if name.endswith("_error") else 2 if name == "diffuse_variance" else 0
+        return values * values.dtype.type(self.misfit**power) if power else values
 
     def typical_gloss(self) -> tuple[float, ...]:
         """Return β and μ of each gloss component in turn: their medians over the half of texels that know μ best.

@@ -62,15 +62,11 @@ _ALBEDO_MAPS = (
 
 @dataclass(frozen=True)
 class _Reflectance:
-    """Coefficients of a texture's spectra on the recovery basis, tile by tile; NaN where nothing is known.
-
-    ``misfit`` multiplies the stated errors of responses, see `irodori.material.lobe_choices.Comparison.misfit`.
-    """
+    """Coefficients of a texture's spectra on the recovery basis, tile by tile; NaN where nothing is known."""
 
     fitted: FittedTiles
     calibration: Calibration
     is_noise_known: bool
-    misfit: float = 1.0
 
     def __iter__(self) -> Iterator[np.ndarray]:
         for _, maps in self.fitted.read(*_RESPONSE, "alpha"):
@@ -78,7 +74,7 @@ class _Reflectance:
 
     def variance(self, maps: dict) -> np.ndarray | None:
         """Return the variance of a tile's diffuse responses, or None if the camera's noise was not measured."""
-        return maps["diffuse_variance"] * np.float32(self.misfit**2) if self.is_noise_known else None
+        return maps["diffuse_variance"] if self.is_noise_known else None
 
     def of(self, maps: dict) -> np.ndarray:
         """Return the coefficients (rows, width, r) of the spectra of a tile, recovered from its diffuse responses."""
@@ -223,8 +219,8 @@ def compress_reflectance(
     if calibration.band_response is None or calibration.band_response_covariance is None:
         found = "no response model"
         raise InputError(calibration_file, "band_response", found, "a calibration that this version wrote")
-    misfit = lobe_choice.misfit(fitted.lobes, fitted.coat)
-    reflectance = _Reflectance(fitted, calibration, fitted.is_noise_known(), misfit)
+    fitted.misfit = lobe_choice.misfit(fitted.lobes, fitted.coat)
+    reflectance = _Reflectance(fitted, calibration, fitted.is_noise_known())
     observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
     compression, compared = compress_maps(reflectance, calibration.basis, observers, options)
     n, k = refractive_index(definition.refractive_index)
@@ -249,7 +245,7 @@ def compress_reflectance(
             "lobe_choice": [asdict(one) for one in lobe_choice.candidates],
             "lobe_choice_painted": lobe_choice.painted,
             "lobe_choice_favours_tails": lobe_choice.favours_tails,
-            "lobe_choice_misfit": misfit,
+            "lobe_choice_misfit": fitted.misfit,
             "filter_level": level._asdict() | {"is_other": bool(level.is_other)} if level else None,
             "mirror": mirror,
             "gloss_contradiction": fitted.gloss_contradiction,

@@ -21,7 +21,7 @@ from irodori.core.errors import InputError
 from irodori.material.energy import energy_of
 from irodori.material.fitted_tiles import FittedTiles, columns
 from irodori.material.lobe_choices import Comparison, LeftOut
-from irodori.material.material_file import Material, gloss_maps
+from irodori.material.material_file import Material, Status, gloss_maps
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.material.stage import compress_reflectance
 from irodori.report.html_page import fragment
@@ -125,7 +125,7 @@ def test_every_texel_of_every_tile_is_in_its_place(tmp_path, calibration, storag
     assert errors["reflectance_error_median"] == pytest.approx(float(np.median(reliability[found.observed])))
 
 
-def test_where_no_model_predicts_the_photographs_colours_are_stated_with_errors_as_much_larger(tmp_path, calibration):
+def test_where_no_model_predicts_the_photographs_all_errors_are_larger_and_nothing_is_ok(tmp_path, calibration):
     tile = write_tile(tmp_path / "tile.h5", (0, 8), 30, 1, noise=1e-4)
     for deviation, times in ((1.4, 1.0), (8.0, 8.0)):
         choice = Comparison((LeftOut(("gaussian",), deviation, 0.0, 0.0),))
@@ -137,6 +137,10 @@ def test_where_no_model_predicts_the_photographs_colours_are_stated_with_errors_
         with store.open_file(output) as file:
             assert np.allclose(file.read("delta_e_error"), expected, rtol=1e-3, equal_nan=True)
             assert file.attribute("errors")["lobe_choice_misfit"] == times
+            for name in ("alpha_error", "beta_error", "mu_error"):
+                assert np.allclose(file.read(name), times * tile[name], rtol=1e-5, equal_nan=True), name
+            determined = np.isin(tile["status"], (Status.OK, Status.PAINT, Status.DIFFUSE_ONLY))
+            assert determined.any() and (file.read("status")[determined] == Status.OK).any() == (times == 1.0)
 
 
 @pytest.mark.parametrize("level", [1.0, 0.7])
