@@ -12,7 +12,7 @@ from irodori.reflection.coat import SUM
 from irodori.reflection.registry import DEFAULT_LOBES
 
 #: Error of left-out readings, in stated errors, from which on no form of gloss explains the photographs. Errors of the
-#: default objects' readings are 0.7 to 1.7 with eight photographs or more, and 7 to 26 where the lamp failed or drifted.
+#: default objects' readings are 0.7 to 1.7 with eight photographs or more, 7 to 26 where the lamp failed or drifted.
 CONTRADICTED = 2.0
 _FIGURES = {
     "deviation": "median error of a left-out reading over its stated standard deviation",
