@@ -8,8 +8,8 @@ path-traced one at pixels that show objects, with the noise removed. The error o
 files of the light, prepares one variant and renders it. Processor time divided by the number of threads is the time of
 a frame on idle cores. ``spectral`` carries 61 bands and decodes them from the four coefficients at every look-up;
 ``spectral, stored`` uses no compression and also stores light and blurred light in 61 bands. ``light maps`` are baked
-for the unrotated light, which therefore does not turn. Full also counts the processor cycles of each stage, in loops
-compiled for that. Outlines are smooth as in a scene by default, except in the variant with rough ones.
+for the unrotated light, which therefore does not turn. Outlines are smooth as in a scene by default, except in the
+variant with rough ones.
 """
 
 import pickle
@@ -34,7 +34,7 @@ from irodori.light.environment_file import Environment
 from irodori.light.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.material.material_file import Material
-from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, profiled, render_frame
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, render_frame
 from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.reference.baking import bake_maps
 from irodori.rendering.reference.converging_picture import TracedScene, make_scene
@@ -207,17 +207,6 @@ def _error(name: str, image: np.ndarray, reference: np.ndarray, white_xyz: np.nd
     return summary(delta_e(lab_from_xyz(reference, white_xyz), lab_from_xyz(image, white_xyz)))
 
 
-def _stages(studio: Studio, prepared) -> dict[str, float]:
-    """Return each stage's share of the processor cycles, in the frame with the fewest cycles of ten."""
-    counting, found = profiled(prepared), []
-    for _ in range(10):
-        figures: dict = {}
-        studio.frame(counting, 0, figures=figures)
-        found.append({name: count for name, count in figures.items() if name != "rays"})
-    quietest = min(found, key=lambda cycles: sum(cycles.values()))
-    return {name: count / sum(quietest.values()) for name, count in quietest.items()}
-
-
 def _rays(studio: Studio, prepared) -> int:
     """Return the number of rays in the first frame."""
     figures: dict = {}
@@ -231,7 +220,7 @@ def measure(arguments, folder: Path) -> list[dict]:
     white_xyz = xyz_from_radiance(studio.white) @ studio.white
     reference = studio.frame(studio.prepare("spectral", least_throughput=0.0), 0)
     names = [name for name in VARIANTS if name in arguments.variants]
-    work, errors, far, rays, shares = {}, {}, {}, {}, {}
+    work, errors, far, rays = {}, {}, {}, {}
     traced, view, pixels = studio.traced_view()
     matrix = xyz_from_radiance(studio.white)
     for name in names:
@@ -244,18 +233,15 @@ def measure(arguments, folder: Path) -> list[dict]:
             shown = shown if shown.shape[1] == 3 else shown @ matrix.T
             far[name] = distance_to_reference(traced, view, pixels, shown, matrix, white_xyz)
         rays[name] = _rays(studio, prepared)
-        if arguments.size == "full":
-            shares[name] = _stages(studio, prepared)
         work[name] = partial(_next_frame, studio, prepared, frame, [0])
     seconds = medians_s(work, arguments.runs)
     own_s = {name: least_processor_s(function, arguments.runs) for name, function in work.items()}
     rows = []
     for name, (peak, resident) in zip(names, _memory_mb(names, arguments, folder), strict=True):
         error = errors[name]
-        stages = "".join(f", {stage} {100 * part:.0f} %" for stage, part in shares.get(name, {}).items())
         alone = own_s[name] / arguments.threads
         print(f"{name}: {1 / seconds[name]:.1f} frames/s ({1 / alone:.1f} on idle cores), {rays[name]} rays, "
-              f"{rays[name] / alone / 1e6:.1f} million rays/s{stages}; {_told(far.get(name))}; own error mean "
+              f"{rays[name] / alone / 1e6:.1f} million rays/s; {_told(far.get(name))}; own error mean "
               f"{error['mean']:.4f}, p99 {error['p99']:.3f}, max {error['max']:.2f}; "
               f"resident {resident:.0f} MB")  # fmt: skip
         rows.append(

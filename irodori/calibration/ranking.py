@@ -59,8 +59,6 @@ def rank_filters(
     *,
     exposure: str = "per_shot",
     viewing_light: str = "D65",
-    draws: int | None = None,
-    seed: int = 0,
 ) -> list[FilterScore]:
     """Predict the errors of six bands, three without and three with each filter, of a camera of known sensitivities.
 
@@ -80,9 +78,6 @@ def rank_filters(
         than others; the longer exposure itself is returned as `exposure_ratio`.
     viewing_light : str
         Light under which colours are compared.
-    draws : int, 1 or more
-        Pairs of opposite noise for each reflectance of the test set; by default, enough for 5000 colours.
-    seed : int
 
     Returns
     -------
@@ -95,12 +90,10 @@ def rank_filters(
     """
     if not (np.isfinite(noise) and noise >= 0.0):
         raise ValueError(f"noise of {noise}; accepted: a fraction of full scale from 0")
-    draws = -(-_COLOURS // (2 * len(test))) if draws is None else draws
-    if draws < 1:
-        raise ValueError(f"{draws} draws; accepted: 1 or more")
+    draws = -(-_COLOURS // (2 * len(test)))  # pairs of opposite noise for each reflectance
     training, test = (np.asarray(values, dtype=np.float64) for values in (training, test))
     moments = training.T @ training / len(training)
-    half = np.random.default_rng(seed).standard_normal((draws, len(test), 6))
+    half = np.random.default_rng(0).standard_normal((draws, len(test), 6))
     judge = _Judge(test, moments, noise, noise * np.concatenate([half, -half]), viewing_light)
     time_ratio = _Exposure(sensitivities, light)
     scores = [judge.score(NO_FILTER, band_weights(sensitivities, light, None, exposure), 1.0)]

@@ -44,8 +44,8 @@ def _element(parent, tag: str, kind: str | None = None, name: str | None = None,
     return ElementTree.SubElement(parent, tag, {key: value for key, value in given.items() if value is not None})
 
 
-def _matrix(parent, matrix: np.ndarray, name: str = "to_world") -> None:
-    transform = _element(parent, "transform", name=name)
+def _matrix(parent, matrix: np.ndarray) -> None:
+    transform = _element(parent, "transform", name="to_world")
     _element(transform, "matrix", value=" ".join(f"{value:.9g}" for value in matrix.ravel()))
 
 

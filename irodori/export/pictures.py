@@ -162,16 +162,17 @@ _RADIANCE = "hdr"
 _MIRRORED = {1: (False, False), 2: (False, True), 3: (True, True), 4: (True, False)}
 #: Largest width or height, in pixels.
 _LONGEST_SIDE = 1 << 17
+_EMISSION = "S0"  # kind of a layer of radiance in the published spectral layout
 #: Rows whose spectra are converted together.
 _ROWS = 32
 #: Largest amount of data, decoded, that is read at once: a group of rows, or whole rows of tiles.
 _MOST_TOGETHER_BYTES = 1 << 31
 
 
-def _wavelength_nm(name: str, kind: str) -> float | None:
-    """Return the wavelength in nm from the name of a layer, with a wavelength or frequency; None for other kinds."""
+def _wavelength_nm(name: str) -> float | None:
+    """Return the wavelength in nm from the name of a layer of emission; None for other kinds."""
     match = _LAYER.fullmatch(name)
-    if match is None or match[1] != kind:
+    if match is None or match[1] != _EMISSION:
         return None
     value = float(match[2].replace(",", ".")) * 10.0 ** _PREFIX[match[3] or ""]
     if not 0.0 < value < math.inf:
@@ -372,8 +373,8 @@ def _stored_scale(spec: oiio.ImageSpec, path) -> float:
     return scale
 
 
-def layers_of(names: list[str], kind: str, path) -> tuple[np.ndarray, list[int]]:
-    """Find the spectral layers of one kind among channel names.
+def layers_of(names: list[str], path) -> tuple[np.ndarray, list[int]]:
+    """Find the spectral layers of emission among channel names.
 
     Returns
     -------
@@ -386,11 +387,11 @@ def layers_of(names: list[str], kind: str, path) -> tuple[np.ndarray, list[int]]
     InputError
         If there is no such layer, or two for the same wavelength.
     """
-    found = [(wavelength, index) for index, name in enumerate(names) if (wavelength := _wavelength_nm(name, kind))]
+    found = [(wavelength, index) for index, name in enumerate(names) if (wavelength := _wavelength_nm(name))]
     if not found:
         others = sorted({name.partition(".")[0] for name in names})
-        accepted = f"layers {kind}.<wavelength>nm of the published spectral layout"
-        missing = f"no layer for 400 nm or another wavelength of the kind {kind} among {', '.join(others)}"
+        accepted = f"layers {_EMISSION}.<wavelength>nm of the published spectral layout"
+        missing = f"no layer for 400 nm or another wavelength of the kind {_EMISSION} among {', '.join(others)}"
         raise InputError(path, "channels", missing, accepted)
     found.sort()
     wavelength_nm = np.array([wavelength for wavelength, _ in found])
@@ -402,7 +403,7 @@ def layers_of(names: list[str], kind: str, path) -> tuple[np.ndarray, list[int]]
 
 def _grid_channels(header: Header, path) -> list[int]:
     """Return the channel indices of the S0 layers at the 61 wavelengths."""
-    wavelength_nm, channels = layers_of(header.channels, "S0", path)
+    wavelength_nm, channels = layers_of(header.channels, path)
     available = dict(zip((round(float(w), 3) for w in wavelength_nm), channels, strict=True))
     missing = [w for w in WAVELENGTH_NM if round(float(w), 3) not in available]
     if missing:

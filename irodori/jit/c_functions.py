@@ -42,14 +42,3 @@ def c_function(result, *arguments):
     namespace = {"call": call}
     exec(f"def typed(typingctx, address, {names}):\n    return call(typingctx, address, {names})\n", namespace)
     return intrinsic(namespace["typed"])
-
-
-@intrinsic
-def cycles(typingctx):
-    """Return the cycle counter of the processor, for profiling."""
-
-    def codegen(context, builder, sig, args):
-        function = ir.FunctionType(ir.IntType(64), [])
-        return builder.call(cgutils.get_or_insert_function(builder.module, function, "llvm.readcyclecounter"), [])
-
-    return types.int64(), codegen

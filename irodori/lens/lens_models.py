@@ -248,8 +248,9 @@ def _fit(
     )
 
 
-def covered(sheets: Sequence[Sheet], size: tuple[int, int], cells: int = 4) -> float:
-    """Return the share of ``cells`` x ``cells`` parts of the picture in which a corner of any photograph lies."""
+def covered(sheets: Sequence[Sheet], size: tuple[int, int]) -> float:
+    """Return the share of the 4 x 4 parts of the picture in which a corner of any photograph lies."""
+    cells = 4
     seen = np.concatenate([sheet.seen for sheet in sheets])
     at = np.clip((seen + 0.5) / np.array(size) * cells, 0, cells - 1).astype(int)
     return len({tuple(cell) for cell in at}) / cells**2

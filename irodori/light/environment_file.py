@@ -73,7 +73,6 @@ class Environment:
         origin: dict | None = None,
         *,
         storage: str = "single",
-        codec: str = "gzip",
     ) -> None:
         """Write the file of an environment.
 
@@ -86,11 +85,11 @@ class Environment:
             Blurred light for rough reflection.
         origin : dict, optional
             Source of the light, and assumptions about it.
-        storage, codec : str
+        storage : str
             See `irodori.material.coefficients`.
         """
         with store.create(path, provenance) as out:
-            write_coefficients(out, "coefficients", self.coefficients, quantity=QUANTITY, storage=storage, codec=codec)
+            write_coefficients(out, "coefficients", self.coefficients, quantity=QUANTITY, storage=storage, codec="gzip")
             if gloss is not None:
                 gloss.write(out, storage)
             self.write_rest(out, errors, origin)

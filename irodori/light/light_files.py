@@ -169,7 +169,7 @@ def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) 
         bands are read: if the file is truncated, a value is not finite, or none is positive.
     """
     header = _panorama_header(path)
-    wavelength_nm, channels = layers_of(header.channels, "S0", path)
+    wavelength_nm, channels = layers_of(header.channels, path)
     resample_picture(wavelength_nm, np.zeros((1, len(wavelength_nm)), np.float32), path)  # refuses before reading
     bounds = [float(wavelength_nm[0]), float(wavelength_nm[-1]), len(wavelength_nm)]
     origin = {"kind": "spectral", "wavelengths_nm": bounds}

@@ -129,16 +129,15 @@ class Directions:
         return float(1.0 / (share @ np.exp((colour @ colour.T - 1.0) / _ALIKE**2) @ share))
 
 
-def draw_directions(parts: Iterable[tuple[np.ndarray, np.ndarray | float]], seed: int = 0) -> Directions:
+def draw_directions(parts: Iterable[tuple[np.ndarray, np.ndarray | float]]) -> Directions:
     """Draw directions from each part of a picture, with probabilities proportional to their light.
 
     Parameters
     ----------
     parts : iterable of ((n, bands) float, (n,) float or one number for all)
         Responses and solid angles; pixels that are not finite are never drawn.
-    seed : int
     """
-    rng, responses, shares = np.random.default_rng(seed), [], []
+    rng, responses, shares = np.random.default_rng(0), [], []
     for response, solid_angle in parts:
         bands = response.shape[-1]
         power = np.maximum(response @ np.ones(bands, response.dtype), 0.0) * solid_angle

@@ -260,11 +260,10 @@ class Material:
         errors: dict | None = None,
         *,
         storage: str = "single",
-        codec: str = "gzip",
     ) -> None:
         """Write ``material.h5``, with ``errors`` as an attribute.
 
-        ``storage`` and ``codec`` are as in `irodori.material.coefficients.write_coefficients`.
+        ``storage`` is as in `irodori.material.coefficients.write_coefficients`.
         """
         with store.create(path, provenance) as out:
             maps = {name: (getattr(self, name), units, what) for name, (units, what) in MAPS.items()}
@@ -279,7 +278,7 @@ class Material:
                 self.coefficients,
                 quantity=QUANTITY,
                 storage=storage,
-                codec=codec,
+                codec="gzip",
                 basis=BASIS,
             )
             if self.through is not None:
@@ -289,7 +288,7 @@ class Material:
                     self.through.coefficients,
                     quantity=SENT,
                     storage=storage,
-                    codec=codec,
+                    codec="gzip",
                     basis=SENT_BASIS,
                     dims="row,column,part",
                 )

@@ -60,9 +60,7 @@ def geometry_of(normal, view, direction) -> np.ndarray:
     return angles_from_directions(normal[:, None, :], direction[None], view[:, None, :])
 
 
-def register_lamps(
-    response, normal, view, weight, direction, *, error_deg: float, n: float, k: float, lobe: str = "gaussian"
-) -> Lamps:
+def register_lamps(response, normal, view, weight, direction, *, error_deg: float, n: float, k: float) -> Lamps:
     """Estimate levels and directions of the lamps of J photographs from the responses of T points.
 
     Parameters
@@ -79,8 +77,6 @@ def register_lamps(
         Standard deviation of these directions, degrees; 0 if they are exact.
     n, k : float
         Complex refractive index of the surface.
-    lobe : str
-        Name of the gloss lobe.
 
     Raises
     ------
@@ -110,7 +106,7 @@ def register_lamps(
     def model(lamps: np.ndarray, beta: float, mu: float) -> tuple[np.ndarray, np.ndarray]:
         """Return cosines of incidence and gloss, (T, J) each, for lamps of level 1."""
         angles = geometry_of(normal, view, lamps)
-        gloss = beta * evaluate(lobe, mu, angles) * fresnel_array(np.cos(angles[..., 2]), n, k)
+        gloss = beta * evaluate("gaussian", mu, angles) * fresnel_array(np.cos(angles[..., 2]), n, k)
         return np.maximum(np.cos(angles[..., 0]), 0.0), gloss
 
     def diffuse(cosine: np.ndarray, gloss: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

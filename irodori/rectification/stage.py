@@ -343,9 +343,7 @@ class Sight(NamedTuple):
     lit_behind: np.ndarray
 
 
-def observe(
-    position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet=None, *, is_sheet: bool = False
-) -> Sight:
+def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet=None) -> Sight:
     """Return the positions of texels in a capture, their angles, and whether they are seen and lit.
 
     Parameters
@@ -359,11 +357,9 @@ def observe(
     facet : (n, 3) float, optional
         Unit normals of the facets if they differ from the shading normals. A texel is seen or lit only from the front
         side of both.
-    is_sheet : bool
-        Whether to trace on which texels the light falls from behind.
     """
     texels = _Surface(position, normal, normal if facet is None else facet)
-    return _sight(texels, Placement(tracer.placements[0].shape), tracer, pose, setup, angles=4, is_sheet=is_sheet)
+    return _sight(texels, Placement(tracer.placements[0].shape), tracer, pose, setup, angles=4, is_sheet=False)
 
 
 class _Surface(NamedTuple):

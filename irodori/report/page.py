@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from irodori.core import store
-from irodori.evaluation.coefficient_storage import storage_sentence
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import BudgetRow, CostRow, ErrorRow, PlanRow, RegistrationRow, read_rows
 from irodori.lens.lens_file import LensFile
@@ -17,6 +16,7 @@ from irodori.report.calibration_part import camera_calibrations
 from irodori.report.figures import material_figure, planning_figure, spectra_figure
 from irodori.report.html_page import data_uri, write_page
 from irodori.report.sittings import sittings
+from irodori.spectra.grid import SAMPLES
 
 #: Lines of the report about a camera: attribute of its reference file, and its meaning.
 _CAMERA_FIGURES = {
@@ -55,12 +55,22 @@ def typical_gloss_text(material: Material) -> str:
     return "; ".join(parts)
 
 
+def _storage(file: store.Reader, name: str) -> str:
+    """Return a sentence with the size on disk of a dataset of coefficients."""
+    dataset = file.dataset(name)
+    packed, spectra = dataset.id.get_storage_size(), dataset.size // dataset.shape[-1] * SAMPLES * 4
+    return (
+        f"Coefficients: {packed / 1e6:.3g} MB on disk, {spectra / packed:.0f} times less than {SAMPLES} bands of "
+        "32-bit floats."
+    )
+
+
 def _object(name: str, path, truth_file, placement) -> dict:
     material = Material.load(path)
     truth = Material.load(truth_file) if truth_file else None
     with store.open_file(path) as file:
         maps = {n: file.read(n) for n in ("status", "residual_rms", "reflectance_error", "delta_e_error")}
-        errors, stored = file.attribute("errors"), storage_sentence(file, "reflectance/coefficients")
+        errors, stored = file.attribute("errors"), _storage(file, "reflectance/coefficients")
     return {
         "name": name,
         "maps": material_figure(material, maps, truth),
@@ -110,7 +120,7 @@ def environments(names: list[str], files: list) -> list[dict]:
     for name, path in zip(names, files, strict=True):
         with store.open_file(path) as file:
             own = {key: file.attribute(key) for key in ("errors", "origin")}
-            found.append(own | {"name": name, "stored": storage_sentence(file, "coefficients")})
+            found.append(own | {"name": name, "stored": _storage(file, "coefficients")})
     return found
 
 

@@ -49,7 +49,6 @@ def resample(
     wavelength_nm: np.ndarray,
     values: np.ndarray,
     file,
-    field: str = "wavelength",
     max_gap_nm: float = MAX_GAP_NM,
     method: str = "linear",
 ) -> np.ndarray:
@@ -59,7 +58,7 @@ def resample(
     ----------
     wavelength_nm : (n,) float, strictly increasing, nm
     values : (..., n) float
-    file, field : origin of the spectra, for the error message
+    file : origin of the spectra, for the error message
     max_gap_nm : float
         Largest accepted step of the wavelengths, nm.
     method : str
@@ -86,17 +85,17 @@ def resample(
     wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64)
     values = np.asarray(values, dtype=np.float64)
     if not np.isfinite(wavelength_nm).all():
-        raise InputError(file, field, "a wavelength that is not finite", "strictly increasing wavelengths in nm")
-    check_wavelengths(wavelength_nm, file, field, max_gap_nm)
+        raise InputError(file, "wavelength", "a wavelength that is not finite", "strictly increasing wavelengths in nm")
+    check_wavelengths(wavelength_nm, file, "wavelength", max_gap_nm)
     if not np.isfinite(values).all():
-        raise InputError(file, field, "a missing or non-finite value", "a finite number at every wavelength")
+        raise InputError(file, "wavelength", "a missing or non-finite value", "a finite number at every wavelength")
     flat = values.reshape(-1, wavelength_nm.size)
     if method == "average":
         out = flat @ _average_matrix(tuple(wavelength_nm)).T
     elif method == "linear" or (method == "auto" and not is_uniform(wavelength_nm)):
         out = _linear(wavelength_nm, flat)
     elif not is_uniform(wavelength_nm):
-        raise InputError(file, field, "steps that are not uniform", "uniform steps for Sprague's interpolation")
+        raise InputError(file, "wavelength", "steps that are not uniform", "uniform steps for Sprague's interpolation")
     else:
         out = flat @ _sprague_matrix(tuple(wavelength_nm)).T
         if method == "auto":

@@ -127,7 +127,7 @@ def light_maps(environment: Environment, objects: Objects) -> LightMaps:
         return LightMaps(environment.basis.T.astype(np.float64), white, None, None, (), [], [], 0)
     basis, principal_from_stored = _principal(environment)
     k = len(basis)
-    pyramid = environment_pyramid(environment.coefficients, principal_from_stored, k, half=False)
+    pyramid = environment_pyramid(environment.coefficients, principal_from_stored, k)
     level = next(i for i, side in enumerate(pyramid.side) if side <= MOST_SIDE)
     side, first = int(pyramid.side[level]), int(pyramid.first[level])
     whole = pyramid.texels[first : first + 6 * (side + 2) ** 2 * k].reshape(6, side + 2, side + 2, k)

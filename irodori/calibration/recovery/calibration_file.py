@@ -5,7 +5,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from irodori.calibration.recovery.mappings import KINDS, LinearMapping, Mapping
-from irodori.calibration.sensitivity_prior import of_independent_bands
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.spectra.coordinates import write_bands, write_wavelength
@@ -22,8 +21,6 @@ _AXES = {
 }
 _MATRIX = "weights_from_response"
 _COVARIANCE = "band_response_covariance"
-#: Axes of the covariance in files of earlier versions, which took the bands to be independent.
-_OF_EACH_BAND = "band,wavelength,other_wavelength"
 _OPTIONAL = {"chart_response": "patch,band", "band_response": "band,wavelength",
              "band_response_covariance": "band,wavelength,other_band,other_wavelength"}  # fmt: skip
 
@@ -84,8 +81,6 @@ class Calibration:
                 raise InputError(path, "mapping", repr(kind), f"one of: {', '.join(KINDS)}")
             axes = {"basis": "wavelength,component", "light": "wavelength"}
             optional = {name: dims for name, dims in _OPTIONAL.items() if name in file}
-            if _COVARIANCE in file and file.dataset(_COVARIANCE).ndim == _OF_EACH_BAND.count(",") + 1:
-                optional[_COVARIANCE] = _OF_EACH_BAND
             axes |= optional
             own = fields(KINDS[kind]) if kind != LinearMapping.kind else ()
             axes |= {f"mapping/{field.name}": _AXES[field.name] for field in own if field.name in _AXES}
@@ -106,8 +101,6 @@ class Calibration:
             if not 0.0 <= light_error < 1.0:
                 raise InputError(path, "light_error", f"{light_error:g}", "a number from 0 to below 1")
             known = {name: file.read_within(name) for name in optional}
-            if optional.get(_COVARIANCE) == _OF_EACH_BAND:
-                known[_COVARIANCE] = of_independent_bands(list(known[_COVARIANCE]))
             return cls(
                 file.read_within("basis"),
                 KINDS[kind](**values),

@@ -71,7 +71,7 @@ def check_spectra(value, path: tuple, root: Path, file) -> None:
         _check_one(kind, value, root, file, dotted(path))
 
 
-def check_light(name: str, root: Path, file, field: str = "") -> None:
+def check_light(name: str, root: Path, file) -> None:
     """Refuse a light that is neither a published illuminant nor a file of one spectrum of power.
 
     Parameters
@@ -80,13 +80,13 @@ def check_light(name: str, root: Path, file, field: str = "") -> None:
         Name of the light, or the path of a file.
     root : path
         Folder at which relative paths start.
-    file, field : origin of the name, for the error message
+    file : origin of the name, for the error message
 
     Raises
     ------
     InputError
     """
-    _check_one("light", name, root, file, field)
+    _check_one("light", name, root, file, "")
 
 
 def check_index(index: RefractiveIndex, root: Path, file, field: str) -> None:

@@ -22,8 +22,6 @@ def drift(
     decoded: np.ndarray,
     basis: np.ndarray,
     observers: dict,
-    reflections: int = REFLECTIONS,
-    seed: int = 0,
 ) -> list[dict]:
     """Return the colour and spectral errors that compression causes in light reflected several times.
 
@@ -38,8 +36,6 @@ def drift(
     basis : (61, k) float, orthonormal columns
     observers : dict
         light -> ((3, 61) matrix to XYZ, (3,) XYZ of white).
-    reflections : int
-    seed : int
 
     Returns
     -------
@@ -48,12 +44,12 @@ def drift(
         over the chains; and both again as ``projected_delta_e`` and ``projected_rmse`` if every product is projected on
         the basis, as in a renderer that keeps coefficients instead of spectra.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     count = len(truth) if len(truth) < 2 else min(_CHAINS, 4 * len(truth))
     exact, product, projected = (np.ones((count, truth.shape[1])) for _ in range(3))
     brightness = np.maximum(truth, 0).mean()
     rows = []
-    for number in range(1, reflections + 1):
+    for number in range(1, REFLECTIONS + 1):
         chosen = rng.integers(len(truth), size=count)
         exact *= truth[chosen]
         product *= decoded[chosen]

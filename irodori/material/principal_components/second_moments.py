@@ -179,15 +179,15 @@ class _OfTile(NamedTuple):
 class _Sampler:
     """Random sample of pixels without repetition: each pixel gets a random number, and the least numbers are kept."""
 
-    def __init__(self, size: int, seed: int) -> None:
-        self._size, self._seed, self._lock = size, seed, threading.Lock()
+    def __init__(self, size: int) -> None:
+        self._size, self._lock = size, threading.Lock()
         self._keys: list[np.ndarray] = []
         self._rows: list[np.ndarray] = []
         self._limit = 2.0
 
     def add(self, rows: np.ndarray, first: int) -> None:
         """Add the pixels of a tile; the sample does not depend on the order of the tiles."""
-        keys = np.random.default_rng((self._seed, first)).random(len(rows))
+        keys = np.random.default_rng((0, first)).random(len(rows))
         chosen = np.flatnonzero(keys < self._limit)
         picked = rows[chosen]
         finite = np.isfinite(picked).all(axis=1)
@@ -213,7 +213,6 @@ class _Sampler:
 def second_moments(
     source,
     sample_pixels: int = SAMPLE_PIXELS,
-    seed: int = 0,
     also: Callable[[np.ndarray, int], None] | None = None,
 ) -> Moments:
     """Read a picture once and return its second moments about zero.
@@ -222,8 +221,6 @@ def second_moments(
     ----------
     source : Tiles, or what `Tiles` takes
     sample_pixels : int
-    seed : int
-        Seed of the random sample.
     also : callable, optional
         Called in several threads with every tile (pixels, bands) and the number of its first pixel, for other
         statistics from the same pass.
@@ -239,7 +236,7 @@ def second_moments(
     """
     tiles = source if isinstance(source, Tiles) else Tiles(source)
     workers: dict[int, _Sums] = {}
-    sampler, lock = _Sampler(sample_pixels, seed), threading.Lock()
+    sampler, lock = _Sampler(sample_pixels), threading.Lock()
 
     def add(rows: np.ndarray, first: int, worker: int) -> _OfTile:
         with lock:

@@ -115,10 +115,9 @@ def on_cache_lines(count: int, dtype: type = np.float32) -> np.ndarray:
 class CubePyramid(NamedTuple):
     """A cube map and its levels of half the side each, finest first."""
 
-    texels: np.ndarray  # flat; uint16 holds half-precision floats
+    texels: np.ndarray  # flat, float32
     first: np.ndarray  # (levels,) int64, of numbers
     side: np.ndarray  # (levels,) texels
-    scale: np.ndarray  # (s,) numbers are values divided by this
 
 
 class _Picture(NamedTuple):
@@ -190,7 +189,7 @@ def environment_side(height: int) -> int:
     return max(same, min(finer, _FINE_SIDE))
 
 
-def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, channels: int, half: bool) -> CubePyramid:
+def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, channels: int) -> CubePyramid:
     """Return an environment as a cube map, see `environment_side`, with its levels of half the side each.
 
     Parameters
@@ -201,27 +200,22 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
         Matrix from the coefficients of the radiance to the stored numbers.
     channels : int
         Numbers per texel, at least s; the rest are zero.
-    half : bool
-        Whether to store half-precision floats, each channel divided by a power of two so that none overflows.
     """
     height, width, k = picture.shape
     if height == 0:
         none = np.zeros(0, dtype=np.int64)
-        return CubePyramid(np.zeros(0, np.uint16 if half else np.float32), none, none, np.ones(len(stored_from_light)))
-    bound = [max(abs(float(picture[..., i].max())), abs(float(picture[..., i].min()))) for i in range(k)]
-    largest = np.abs(stored_from_light) @ np.array(bound)
-    scale = np.exp2(np.ceil(np.log2(np.where(largest > 0, largest, 1.0))) - 15.0) if half else np.ones(len(largest))
+        return CubePyramid(np.zeros(0, np.float32), none, none)
     sides = [environment_side(height)]
     while sides[-1] % 2 == 0 and sides[-1] // 2 >= _COARSEST_SIDE:
         sides.append(sides[-1] // 2)
     first = np.concatenate([[0], np.cumsum([FACES * (s + 2) ** 2 * channels for s in sides])])
-    texels = on_cache_lines(first[-1], np.float16 if half else np.float32)
+    texels = on_cache_lines(first[-1])
     maps = [
         texels[a:b].reshape(FACES, s + 2, s + 2, channels) for a, b, s in zip(first, first[1:], sides, strict=False)
     ]
     pixels = picture.ravel()
     pixels = pixels.view(np.uint16) if pixels.dtype == np.float16 else pixels.astype(np.float32, copy=False)
-    matrix = (stored_from_light / scale[:, None]).astype(np.float32)
+    matrix = stored_from_light.astype(np.float32)
     for face, row in itertools.product(range(FACES), range(0, sides[0], _ROWS)):
         rows = np.empty((min(_ROWS, sides[0] - row), sides[0], k), dtype=np.float32)
         _fill_rows(_Picture(pixels, height, width), face, row, rows)
@@ -230,12 +224,12 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
             give_back(picture)  # the next face reads other parts of it
     for finer, coarser in itertools.pairwise(maps):
         for fine, coarse in zip(finer, coarser, strict=True):
-            inner = fine[1:-1, 1:-1].astype(np.float32)
+            inner = fine[1:-1, 1:-1]
             side = len(inner) // 2
             coarse[1:-1, 1:-1] = inner.reshape(side, 2, side, 2, channels).mean(axis=(1, 3))
     for stored in maps:
         fill_borders(stored)
-    return CubePyramid(texels.view(np.uint16) if half else texels, first[:-1], np.array(sides), scale)
+    return CubePyramid(texels, first[:-1], np.array(sides))
 
 
 # --- in compiled code ----------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Interface of the interactive integrator: prepare a scene once, render it frame by frame."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -34,9 +34,9 @@ from irodori.rendering.interactive.representation_layout import Layout
 from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
 from irodori.rendering.interactive.smooth_outlines import spread_points
 from irodori.rendering.interactive.tile_loop import (
+    COUNTED,
     FIGURES,
     RECALLED,
-    STAGES,
     STORED,
     TRACED,
     FrameBuffers,
@@ -315,9 +315,8 @@ def render_frame(
         Whether to keep the hits of the rays and use them in later frames of the same view. The picture has the same
         bits.
     figures : dict, optional
-        Filled with the number of ``rays``, including those decided by the shapes' bounds and those that find outlines;
-        of their ``hits``, ``glossy`` hits and ``misses``; and, for a scene from `profiled`, with the processor cycles
-        of each stage, summed over all threads.
+        Filled with the number of ``rays``, including those decided by the shapes' bounds and those that find outlines,
+        and of their ``hits``, ``glossy`` hits and ``misses``.
     out : array, optional
         Picture to fill.
 
@@ -342,10 +341,5 @@ def render_frame(
     target = FrameBuffers(image.ravel(), image.shape[2], prepared._kept.ravel(), counted.ravel())
     run_chunks(resolved(render_tiles, job, target, 0, 0), columns * rows, columns, job, target)
     if figures is not None:
-        figures |= dict(zip(STAGES, counted.sum(axis=0).tolist(), strict=True))
+        figures |= dict(zip(COUNTED, counted.sum(axis=0).tolist(), strict=True))
     return image
-
-
-def profiled(prepared: Prepared) -> Prepared:
-    """Return a copy of the scene for frames that count the processor cycles of each stage."""
-    return replace(prepared, layout=replace(prepared.layout, profiled=True), _seen=None)

@@ -6,7 +6,7 @@ from irodori.jit.chunks import run_chunks
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, frame_of
 from irodori.rendering.interactive.packets import PATHS, TILE
-from irodori.rendering.interactive.tile_loop import FIGURES, LISTED, STAGES, TRACED, FrameBuffers, Job, render_tiles
+from irodori.rendering.interactive.tile_loop import COUNTED, FIGURES, LISTED, TRACED, FrameBuffers, Job, render_tiles
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.single_pixels import pixel_view
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
@@ -74,7 +74,7 @@ def render_rays(
     target = FrameBuffers(image.ravel(), channels, kept, counted.ravel())
     run_chunks(resolved(render_tiles, job, target, 0, 0), tiles, 1, job, target)
     if figures is not None:
-        figures |= dict(zip(STAGES, counted.sum(axis=0).tolist(), strict=True))
+        figures |= dict(zip(COUNTED, counted.sum(axis=0).tolist(), strict=True))
     return image[: len(rays)].astype(np.float64)
 
 

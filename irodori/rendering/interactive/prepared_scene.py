@@ -576,7 +576,7 @@ def make_world(
     """
     columns, rows = light.size[0]
     picture = light.pixels[: columns * rows].reshape(rows, columns, light.pixels.shape[1])
-    pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half=False)
+    pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light)
     fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels)
     fields |= _surface_fields(objects, tracer, channels, spare) | colour_fields(channels)
     fields |= make_coats(objects, light, fields["irradiance_side"] if maps is None else 0)

@@ -34,17 +34,17 @@ class Quadrature:
     delta_e_p99: float
 
 
-def path_spectra(objects: Objects, light: Light, lamps: np.ndarray, bounces: int, count: int = _PATHS) -> np.ndarray:
+def path_spectra(objects: Objects, light: Light, lamps: np.ndarray, bounces: int) -> np.ndarray:
     """Return random spectra of paths in a scene, (n, 61): light from the sky, off texels and through coloured mirrors.
 
     Directions, normals and texels are drawn at random with a fixed seed.
     """
     rng = np.random.default_rng(_SEED)
-    sky = light.pixels[rng.integers(light.size[0, 0] * light.size[0, 1], size=count)].astype(np.float64) @ light.basis
-    lit = light.irradiance[rng.integers(len(light.irradiance), size=count)].astype(np.float64) @ light.basis / np.pi
+    sky = light.pixels[rng.integers(light.size[0, 0] * light.size[0, 1], size=_PATHS)].astype(np.float64) @ light.basis
+    lit = light.irradiance[rng.integers(len(light.irradiance), size=_PATHS)].astype(np.float64) @ light.basis / np.pi
     if len(lamps):
-        lit = lit + rng.random((count, len(lamps))) ** 4 @ lamps / np.pi
-    which = rng.integers(len(objects.bases), size=count)
+        lit = lit + rng.random((_PATHS, len(lamps))) ** 4 @ lamps / np.pi
+    which = rng.integers(len(objects.bases), size=_PATHS)
     texel = objects.first_texel[which] + rng.integers(objects.texture_size[which].prod(axis=1))
     weights = objects.texels[texel].astype(np.float64)
     surface = np.einsum("pk,pkl->pl", coefficients_of(objects, weights), objects.basis[which])

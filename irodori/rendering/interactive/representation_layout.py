@@ -23,8 +23,6 @@ class Layout:
     coloured : bool
         Whether a path's throughput differs between channels. If not, light is summed in its stored form and converted
         to a colour once per pixel.
-    profiled : bool
-        Whether processor cycles are counted for each stage.
     components : int
         Gloss components of a texel, at most 5.
     parts : int
@@ -38,7 +36,6 @@ class Layout:
     surface: int
     light: int
     coloured: bool
-    profiled: bool = False
     components: int = 1
     parts: int = 1
     sheets: bool = False
@@ -100,7 +97,7 @@ def _black(field: str, times: int = 1):
 
 
 surface_lanes, light_lanes = _constant("surface"), _constant("light")
-is_coloured, is_profiled = _constant("coloured"), _constant("profiled")
+is_coloured = _constant("coloured")
 has_sheets, has_coats = _constant("sheets"), _constant("coats")
 gloss_components, gloss_parts, seen_lanes = _constant("components"), _constant("parts"), _constant("seen")
 #: Vectors of zeros: of a texel's lanes, of the light's, of light at two levels, and of what gloss sees in

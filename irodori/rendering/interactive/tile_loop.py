@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from irodori.jit.c_functions import cycles
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.functions import as_float, root, select
 from irodori.jit.vector_memory import (
@@ -61,7 +60,6 @@ from irodori.rendering.interactive.representation_layout import (
     gloss_components,
     gloss_parts,
     is_coloured,
-    is_profiled,
     light_black,
     light_lanes,
     surface_black,
@@ -96,10 +94,10 @@ if TYPE_CHECKING:  # keeps their other imports out of the kernel's import closur
 
 #: Values of `PathLimits.visibility`: trace all rays, trace and store hits, recall the stored hits of an earlier frame.
 TRACED, STORED, RECALLED = 0, 1, 2
-#: Stages whose processor cycles are counted; then the number of rays, hits, hits with gloss, and misses.
-STAGES = ("tracing", "geometry", "surfaces", "gloss", "sky", "mirror", "colour", "rays", "hits", "glossy", "misses")
-_TRACE, _PLACE, _SURFACE, _GLOSS, _SKY, _MIRROR, _COLOUR, _RAYS, _HITS, _GLOSSY, _MISSES = range(11)
-FIGURES = len(STAGES)
+#: Numbers that are counted: rays, hits, hits with gloss, and misses.
+COUNTED = ("rays", "hits", "glossy", "misses")
+_RAYS, _HITS, _GLOSSY, _MISSES = range(4)
+FIGURES = len(COUNTED)
 
 
 #: Numbers of a listed ray: origin, mm; direction; width of its cone, mm, and growth of the width per distance.
@@ -257,16 +255,6 @@ def start_rays(frame, tile, paths):
 
 
 @uncounted(forceinline=True)
-def _count(layout, figures, stage, since):
-    """Add the processor cycles since the count ``since`` to a stage and return the present count."""
-    if is_profiled(layout):
-        now = cycles()
-        figures[stage] += now - since
-        return now
-    return since
-
-
-@uncounted(forceinline=True)
 def _trace(world, scratch, base, active):
     """Trace those of the sixteen rays from path ``base`` on that the mask ``active`` selects."""
     left = active
@@ -305,15 +293,12 @@ def _shade_packet(job, scratch, base, count, bounce, after):
     """Shade a packet's hits and write the continuing paths from index ``after`` on; return the index after the last."""
     world, frame, layout = job.world, job.frame, job.layout
     packet, hits, figures = scratch.packet, scratch.hits, scratch.figures
-    since = cycles() if is_profiled(layout) else 0
     met = active_lanes(count, base) & (shapes_met(packet) >= 0)
     placed = place_hits(world, scratch, base, met)
     seen, placed = prepare_hits(job, scratch, base, met, placed)
-    since = _count(layout, figures, _PLACE, since)
     bits = mask_bits(seen)
     if frame.lamps > 0:
         light_hits(job, packet, hits, seen)
-        since = _count(layout, figures, _TRACE, since)
     glossy = 0
     if world.scatters > 0:
         glossy = shade_surfaces(job, scratch, base, bits)
@@ -322,7 +307,6 @@ def _shade_packet(job, scratch, base, count, bounce, after):
     for component in range(1, gloss_components(layout)):
         of_any |= glossy >> (component * RAYS)
     figures[_GLOSSY] += bits_set(of_any & 0xFFFF)
-    since = _count(layout, figures, _SURFACE, since)
     if glossy and world.gloss_levels > 0:
         for row in range(gloss_components(layout) * gloss_parts(layout)):
             bits_of_row = (glossy >> (row // gloss_parts(layout) * RAYS)) & 0xFFFF
@@ -330,11 +314,9 @@ def _shade_packet(job, scratch, base, count, bounce, after):
                 entries = hits.entries[row * RAYS * ENTRY :]
                 find_lobes(world, layout, hits, entries, placed)
                 shade_gloss(job, scratch, base, bits_of_row)
-        since = _count(layout, figures, _GLOSS, since)
     if bounce < job.limits.max_bounces:
         reflect_packet(job, scratch, base, bits, placed)
         after = advance(job, scratch, base, seen, after, placed)
-        since = _count(layout, figures, _MIRROR, since)
     return after
 
 
@@ -397,26 +379,24 @@ def _follow(job, scratch, count, visibility, kept, notes):
     With ``notes``, what the first rays meet is noted in ``scratch.met``. Returns, as bits, the packets of first rays of
     which any meets an object.
     """
-    layout, figures, packets, lit = job.layout, scratch.figures, 0, np.int64(0)
+    figures, packets, lit = scratch.figures, 0, np.int64(0)
     for bounce in range(job.limits.max_bounces + 1):
         after = np.int64(0)  # for a literal 0, `_shade_packet` would be compiled a second time
         # Rays of the packet before whose light is looked up in the sky, and has had time to come from memory.
         waiting, blends = np.int64(0), False
         for base in range(0, count + RAYS, RAYS):
-            met, missed, since = np.int64(0), np.int64(0), cycles() if is_profiled(layout) else 0
+            met, missed = np.int64(0), np.int64(0)
             if base < count:
                 met, missed = _meet(job, scratch, base, count, bounce, (visibility, kept[packets * KEPT :]))
                 packets += 1
                 if notes and bounce == 0:
                     _note(job.world, scratch, base, count)
                 figures[_MISSES] += bits_set(missed)
-                since = _count(layout, figures, _TRACE, since)
             if waiting:
                 shade_sky(job, scratch, waiting, blends)
             waiting = missed if job.world.environment_levels > 0 else np.int64(0)
             if waiting:
                 blends = find_sky(job, scratch.paths, base, scratch.sky, waiting)
-            since = _count(layout, figures, _SKY, since)
             if met:
                 lit |= np.int64(bounce == 0) << (base // RAYS)
                 after = _shade_packet(job, scratch, base, count, bounce, after)
@@ -518,21 +498,18 @@ def _render_tile(job, scratch, tile, target):
         _clear_throughput(layout, scratch.sums)
         # The only call, so that it is compiled once.
         lit = _follow(job, scratch, count, visibility, target.kept[tile * numbers :], refines and not again)
-        since = cycles() if is_profiled(layout) else 0
         if again:
             _finish_parts(job, scratch, count, (left, top), target)
         else:
             # Only a whole tile's packets are its blocks, and coloured paths add the sky's light to colours.
             whole = count == PATHS and not listed and not is_coloured(layout)
             _finish_tile(job, scratch.sums, (left, top), lit if whole else np.int64(-1), target)
-        since = _count(layout, scratch.figures, _COLOUR, since)
         if refines and not again:
             visibility, again, found = TRACED, True, _list_outlines(job, scratch, left, top)
         count = np.int64(0)
         while done < found and count <= PATHS - RAYS:
             count = _add_parts(job, scratch, count, (left, top), scratch.outlines[done])
             done += 1
-        _count(layout, scratch.figures, _TRACE, since)
 
 
 @uncounted()

@@ -49,7 +49,7 @@ def cost_of(planner: ScenePlanner, model: Model, side: int) -> dict[str, float]:
     }
 
 
-def document_of(scene_name: str, planner: ScenePlanner, side: int, kind: str = "interactive") -> dict:
+def document_of(scene_name: str, planner: ScenePlanner, side: int) -> dict:
     """Return the content of the plan's file.
 
     Parameters
@@ -59,13 +59,11 @@ def document_of(scene_name: str, planner: ScenePlanner, side: int, kind: str = "
         Planner that `irodori.rendering.planning.choices.choose` returned.
     side : int
         Number of rays along each side of a pixel.
-    kind : str
-        Kind of the integrator.
     """
     decisions = {name: decision_block(decision) for name, decision in planner.decisions.items()}
     document = {
         "scene": scene_name,
-        "integrator": kind,
+        "integrator": "interactive",
         "tolerance_ciede2000": planner.tolerance,
         "pixels_within": SHARE,
         "predicted_delta_e": rounded(max(planner.spent, planner.joint)),

@@ -168,7 +168,7 @@ class Probes:
         if level not in self._skies:
             first, (columns, rows) = self._ladder.first_pixel[level], self._ladder.size[level]
             picture = self._ladder.pixels[first : first + columns * rows].reshape(rows, columns, -1)
-            pyramid = environment_pyramid(picture, self._channels.stored_from_light, self._channels.light, half=False)
+            pyramid = environment_pyramid(picture, self._channels.stored_from_light, self._channels.light)
             self._skies[level] = environment_fields(pyramid, self._channels)
         return self._skies[level]
 

@@ -90,11 +90,10 @@ def incident_light(
     *,
     samples: int,
     seed: int = 0,
-    lamps: bool = False,
 ) -> np.ndarray:
     """Return the light on points of surfaces, as the radiance of a perfect diffuser there, in two halves of paths.
 
-    Light of the scene's own lights that other surfaces reflect is always included.
+    Of the scene's own lights, only what other surfaces reflect is included.
 
     Parameters
     ----------
@@ -106,14 +105,12 @@ def incident_light(
     samples : int
         Paths per point, a multiple of 2.
     seed : int, from 0
-    lamps : bool
-        Whether the direct light of the scene's own lights is included.
 
     Returns
     -------
     (2, n, 61) float32, irradiance / π from two independent halves of the paths
     """
-    places = make_places(scene, surface, point, normal, facet)._replace(lamps=lamps)
+    places = make_places(scene, surface, point, normal, facet)
     return light_at(scene, places, make_numbers(samples, seed, _REPLICATES))
 
 
