@@ -162,7 +162,7 @@ def angles_of(normal) -> np.ndarray:
     return np.stack(seen, axis=1)
 
 
-def round_object(lobe, beta, mu, seed, coat="sum", grain=0.0, long=1.0) -> Observed:
+def round_object(lobe, beta, mu, seed, coat="sum", grain=0.0, *, long=1.0) -> Observed:
     """A sphere of two paints under sixteen poses, four of them opposite the lamp: texels see a peak once, if at all.
 
     What is photographed is ``long`` times as long from top to bottom, which the angles do not know.
