@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
-from irodori.calibration.recovery.posterior import Posterior
-from irodori.colour.colorimetry import xyz_from_reflectance
+from irodori.calibration.recovery.posterior import Posterior, Uncertainty
+from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_reflectance
 from irodori.config.models import Object
 from irodori.config.parts import Surface
 from irodori.core import store
@@ -45,7 +45,7 @@ from irodori.material.principal_components.basis_count import Compression, Compr
 from irodori.material.principal_components.decomposition import WEIGHTINGS
 from irodori.material.principal_components.repeated_reflection import drift
 from irodori.material.principal_components.second_moments import second_moments
-from irodori.spectra.grid import ERROR_NM, SAMPLES
+from irodori.spectra.grid import ERROR_NM, ERROR_STRIDE, SAMPLES
 from irodori.spectra.published import refractive_index, spectrum
 
 _GREEN = 1
@@ -75,6 +75,18 @@ class _Reflectance:
     def variance(self, maps: dict) -> np.ndarray | None:
         """Return the variance of a tile's diffuse responses, or None if the camera's noise was not measured."""
         return maps["diffuse_variance"] if self.is_noise_known else None
+
+    def gloss_error(self, maps: dict) -> np.ndarray:
+        """Return the error of a tile's diffuse responses that all bands share, (rows, width).
+
+        What a texel's photographs cannot separate from its gloss is in the error of α, beside the camera's noise and
+        the level that all texels share. Where the fit states α without an error, all of the light may be gloss.
+        """
+        alpha, own = maps["alpha"], maps["alpha_error"].astype(np.float64)
+        level = 0.0 if math.isnan(self.fitted.common_error) else self.fitted.misfit * self.fitted.common_error
+        noise = maps["diffuse_variance"][..., _GREEN] if self.is_noise_known else 0.0
+        shared = np.sqrt(np.fmax(own**2 - (level * alpha) ** 2 - noise, 0.0))
+        return np.where(np.isfinite(own), shared, np.abs(maps["diffuse_response"][..., _GREEN]))
 
     def of(self, maps: dict) -> np.ndarray:
         """Return the coefficients (rows, width, r) of the spectra of a tile, recovered from its diffuse responses."""
@@ -153,16 +165,22 @@ class _Gathered:
         return {"source": sheet.source, "mean": float(mean), "error_median": error}
 
 
-def confidence(posterior: Posterior, response, variance) -> dict[str, tuple]:
+def confidence(
+    calibration: Calibration, found: Uncertainty, response, variance, gloss_error: np.ndarray
+) -> dict[str, tuple]:
     """Return the uncertainty of recovered spectra, as datasets for ``material.h5``.
 
     Parameters
     ----------
-    posterior : Posterior
+    calibration : Calibration
+    found : Uncertainty
+        By chart, bands and the camera's noise.
     response : (height, width, bands) float
         Diffuse responses; NaN where there is none.
     variance : (height, width, bands) float or None
         Variance of the responses from the camera's noise; None if the noise was not measured.
+    gloss_error : (height, width) float
+        Standard error of the responses that all bands share, because gloss has hardly a colour.
 
     Returns
     -------
@@ -171,14 +189,19 @@ def confidence(posterior: Posterior, response, variance) -> dict[str, tuple]:
         ``reflectance_error``: its root mean square over all wavelengths, ``delta_e_error``: the CIEDE2000 under D65
         within which the true colour lies with a probability of 0.68.
     """
-    found = posterior.of(response, variance, stated=variance is not None)
-    noise = "" if variance is None else " and the camera's noise"
-    of = f"by what chart and bands leave open{noise}"
-    spectral = found.standard_deviation.astype(np.float16)
+    basis, xyz = calibration.basis, xyz_from_reflectance("D65")
+    seen = response, response + np.expand_dims(gloss_error, -1)
+    less, more = (calibration.weights(one, variance).astype(np.float64) for one in seen)
+    labs = (lab_from_xyz(weights @ (xyz @ basis).T, xyz.sum(axis=1)) for weights in (less, more))
+    apart, of = more - less, f"by chart, bands{'' if variance is None else ', noise'} and gloss"
+    spectral = np.hypot(found.standard_deviation, apart @ basis[::ERROR_STRIDE].T).astype(np.float16)
+    rms = np.sqrt(np.square(found.rms) + ((apart @ (basis.T @ basis)) * apart).sum(axis=-1) / SAMPLES)
+    colour = np.hypot(found.delta_e, delta_e(*labs))
+    rms, colour = rms.astype(np.float32), colour.astype(np.float32)
     return {
-        "reflectance_error": (found.rms, "1", "row,column", f"standard deviation of S {of}, rms over wavelengths"),
+        "reflectance_error": (rms, "1", "row,column", f"standard deviation of S {of}, rms over wavelengths"),
         "spectral_error": (spectral, "1", "row,column,error_wavelength", f"standard deviation of S {of}"),
-        "delta_e_error": (found.delta_e, "1", "row,column", f"standard error in CIEDE2000 under D65 {of}"),
+        "delta_e_error": (colour, "1", "row,column", f"standard error in CIEDE2000 under D65 {of}"),
     }
 
 
@@ -374,15 +397,16 @@ def _write_maps(
         own = {name: maps[name] for name in own_names} | {"green_response": response[..., _GREEN]}
         described = {n: (v, (what := described_maps[n])[0], "row,column", what[1]) for n, v in own.items()}
         described |= {n: (maps[n], units, "row,column", quantity) for n, (units, quantity) in kept.items()}
-        described |= confidence(posterior, response, reflectance.variance(maps))
+        variance = reflectance.variance(maps)
+        found = posterior.of(response, variance, stated=variance is not None)
+        described |= confidence(reflectance.calibration, found, response, variance, reflectance.gloss_error(maps))
         through = None
         if sheet is not None:
             let_through, error = sheet.of(slice(*tile.rows), weights.shape[:2], posterior)
             through = let_through, sheet.basis
             if error is not None:
                 described["transmittance_error"] = (error, "1", "row,column", "standard deviation of the transmittance")
-        basis, reflectance_error = reflectance.calibration.basis, described["reflectance_error"][0]
-        albedo = sent.of(maps, weights, basis, reflectance_error, through)
+        albedo = sent.of(maps, weights, reflectance.calibration.basis, found.rms, through)
         for name, column, quantity in _ALBEDO_MAPS:
             texels = albedo[:, column].astype(np.float32).reshape(weights.shape[:2])
             described[name] = (texels, "1", "row,column", quantity)

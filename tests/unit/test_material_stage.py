@@ -1,5 +1,6 @@
 """Fitted tiles become one material: every texel in its place, read tile by tile, or refused."""
 
+import math
 import tracemalloc
 from dataclasses import asdict
 
@@ -13,6 +14,7 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.calibration.recovery.posterior import Posterior
 from irodori.calibration.sensitivity_prior import of_independent_bands
+from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.config.models import Object
 from irodori.config.parts import Surface
 from irodori.core import store
@@ -33,7 +35,9 @@ BASIS = np.linalg.svd(np.stack([spectrum(f"TCS{i}") for i in range(99)]), full_m
 FILTERS = ["out", "in"]
 
 
-def write_tile(path, rows, width, seed, *, filters=FILTERS, noise=1e-6, lobes=("gaussian",), coat="sum"):
+def write_tile(
+    path, rows, width, seed, *, filters=FILTERS, noise=1e-6, lobes=("gaussian",), coat="sum", by_noise=False
+):
     """A fitted tile of random measured colours; the first texel of each row was not seen."""
     first, last = rows
     count = (last - first) * width
@@ -44,6 +48,8 @@ def write_tile(path, rows, width, seed, *, filters=FILTERS, noise=1e-6, lobes=("
     alpha = np.where(np.isfinite(response[:, 1]), rng.uniform(0.2, 0.8, count), np.nan)
     values = {"diffuse_response": response, "diffuse_variance": np.full_like(response, noise), "alpha": alpha}
     values |= {name: rng.uniform(0.1, 0.5, count).astype(np.float32) for name in gloss_maps(lobes) | columns(lobes)}
+    if by_noise:
+        values["alpha_error"] = np.full(count, math.sqrt(noise), np.float32)
     # Codes are whole numbers.
     coded = [name for name, (units, _) in columns(lobes).items() if not isinstance(units, str)]
     values |= {name: rng.integers(0, 2, count).astype(np.int8) for name in coded}
@@ -95,7 +101,10 @@ def compress(tiles, calibration, size, output, **options):
 def test_every_texel_of_every_tile_is_in_its_place(tmp_path, calibration, storage):
     bounds = [(0, 7), (7, 8), (8, 20)]
     paths = [tmp_path / f"tile-{i}.h5" for i in range(3)]
-    tiles = [write_tile(path, rows, 30, seed) for seed, (path, rows) in enumerate(zip(paths, bounds, strict=True))]
+    tiles = [
+        write_tile(path, rows, 30, seed, by_noise=True)
+        for seed, (path, rows) in enumerate(zip(paths, bounds, strict=True))
+    ]
     whole = {name: np.concatenate([tile[name] for tile in tiles]) for name in tiles[0]}
     # In any order, as a glob may give them.
     found = compress([paths[2], paths[0], paths[1]], calibration, (20, 30), tmp_path / "m.h5", storage=storage)
@@ -126,7 +135,7 @@ def test_every_texel_of_every_tile_is_in_its_place(tmp_path, calibration, storag
 
 
 def test_where_no_model_predicts_the_photographs_all_errors_are_larger_and_nothing_is_ok(tmp_path, calibration):
-    tile = write_tile(tmp_path / "tile.h5", (0, 8), 30, 1, noise=1e-4)
+    tile = write_tile(tmp_path / "tile.h5", (0, 8), 30, 1, noise=1e-4, by_noise=True)
     for deviation, times in ((1.4, 1.0), (8.0, 8.0)):
         choice = Comparison((LeftOut(("gaussian",), deviation, 0.0, 0.0),))
         size, output = made(Object | Surface, definition(8, 30)), tmp_path / f"{times:g}.h5"
@@ -141,6 +150,31 @@ def test_where_no_model_predicts_the_photographs_all_errors_are_larger_and_nothi
                 assert np.allclose(file.read(name), times * tile[name], rtol=1e-5, equal_nan=True), name
             determined = np.isin(tile["status"], (Status.OK, Status.PAINT, Status.DIFFUSE_ONLY))
             assert determined.any() and (file.read("status")[determined] == Status.OK).any() == (times == 1.0)
+
+
+@pytest.mark.parametrize("alpha_error", [0.003, 0.3])
+def test_what_photographs_do_not_tell_from_gloss_is_in_the_errors_of_colours(tmp_path, calibration, alpha_error):
+    """Errors of α by gloss that was not subtracted, or too much of it, are the same in all bands."""
+    tile = write_tile(tmp_path / "tile.h5", (0, 16), 64, 1, noise=1e-8)
+    off = alpha_error * np.random.default_rng(2).normal(size=(16 * 64, 1)).astype(np.float32)
+    with h5py.File(tmp_path / "tile.h5", "r+") as file:
+        file["diffuse_response"][:] += off
+        file["alpha_error"][:] = alpha_error
+        file.attrs["common_error"] = 0.0
+        file["alpha_error"][5] = np.nan
+    accept(tmp_path / "tile.h5")
+    found = compress([tmp_path / "tile.h5"], calibration, (16, 64), tmp_path / "m.h5", storage="single")
+    truth, seen = tile["diffuse_response"] @ BASIS.T, found.observed
+    with store.open_file(tmp_path / "m.h5") as file:
+        stated, spectral = file.read("delta_e_error"), file.read("spectral_error").astype(float)
+    assert stated[0, 5] > 5.0  # without an error of α, all of the light may be gloss
+    seen[0, 5] = False
+    distance = delta_e_reflectance(truth[seen], found.spectra()[seen]) / stated[seen]
+    z = np.abs(truth - found.spectra())[..., ::4][seen] / spectral[seen]
+    for one in (distance, z):
+        assert (one <= 1.0).mean() > 0.62 and (one <= 2.0).mean() > 0.93
+    if alpha_error == 0.3:  # far more than what chart and bands leave open
+        assert (distance <= 1.0).mean() < 0.9
 
 
 @pytest.mark.parametrize("level", [1.0, 0.7])
