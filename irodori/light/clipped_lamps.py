@@ -57,4 +57,6 @@ class LargestNumbers:
     def _ends_in_plateau(self, numbers: np.ndarray, counts: np.ndarray) -> bool:
         near = counts[:-1][numbers[:-1] >= _NEAR * numbers[-1]]
         most = _WHOLE * self._pixels
-        return bool(numbers[-1] > 0.0 and _PLATEAU <= counts[-1] < most and counts[-1] >= _ABOVE_NEXT * near.max(initial=0))
+        return bool(
+            numbers[-1] > 0.0 and _PLATEAU <= counts[-1] < most and counts[-1] >= _ABOVE_NEXT * near.max(initial=0)
+        )
