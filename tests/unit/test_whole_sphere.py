@@ -123,13 +123,15 @@ def test_the_bands_come_back_as_they_were():
     assert all(one is other for one, other in zip(whole_sphere(parts, (HEIGHT, WIDTH), "a"), parts, strict=True))
 
 
-@pytest.mark.parametrize(("stated", "accepted"), [
-    ("CubeFace Environment", False), ("LatLong Environment", True), ("Plain Texture", True)
+@pytest.mark.parametrize(("name", "stated", "accepted"), [
+    ("textureformat", "CubeFace Environment", False), ("textureformat", "LatLong Environment", True),
+    ("textureformat", "Plain Texture", True), ("GPano:ProjectionType", "cylindrical", False),
+    ("GPano:ProjectionType", "equirectangular", True),
 ])  # fmt: skip
-def test_a_file_that_states_another_projection_is_refused(tmp_path, stated, accepted):
-    path = write(tmp_path / "a.exr", room(), textureformat=stated)
+def test_a_file_that_states_another_projection_is_refused(tmp_path, name, stated, accepted):
+    path = write(tmp_path / "a.exr", room(), **{name: stated})
     if accepted:
         assert rgb_picture(path).size == (HEIGHT, WIDTH)
     else:
-        with pytest.raises(InputError, match=r"a\.exr: projection: found CubeFace Environment; accepted: an equirect"):
+        with pytest.raises(InputError, match=rf"a\.exr: projection: found {stated}; accepted: an equirectangular"):
             rgb_picture(path)
