@@ -12,7 +12,7 @@ REFUSED, WARNED, CORRECTED = "refused", "warning", "corrected"
 #: Where a mistake is noticed. `irodori check` and the first job of a run look at the same things in the first three.
 DEFINITIONS, TABLE, FIRST_LOOK = "definitions", "table", "first look at the photographs"
 CHART, INGEST, REGISTRATION = "chart", "ingest", "registration"
-LOBES, COLOURS = "choice of lobes", "colours"
+LOBES, COLOURS, LIGHT = "choice of lobes", "colours", "light"
 
 
 class Mistake(NamedTuple):
@@ -250,5 +250,17 @@ MISTAKES = (
         "all photographs of an object through the filter at another level, 16 paints", COLOURS, WARNED,
         "as white reference and chart let expect", "irodori/material/stage.py",
         ("tests/unit/test_material_stage.py::test_photographs_through_the_filter_at_another_level_are_said_to_be",),
+    ),
+    # What the light of a place tells.
+    Mistake(
+        "part of a room, twice as wide as high, for a panorama", LIGHT, REFUSED,
+        "an equirectangular panorama of all directions", "irodori/light/whole_sphere.py",
+        ("tests/unit/test_whole_sphere.py::test_a_photographed_part_of_a_room_is_refused",
+         "tests/unit/test_whole_sphere.py::test_both_kinds_of_picture_files_are_judged"),
+    ),
+    Mistake(
+        "lamps clipped in a panorama of another program", LIGHT, WARNED, "if lamps were clipped there",
+        "irodori/light/clipped_lamps.py",
+        ("tests/unit/test_clipped_lamps.py::test_a_lamp_that_is_cut_off_is_warned_of_and_a_whole_one_is_not",),
     ),
 )  # fmt: skip

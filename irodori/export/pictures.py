@@ -215,6 +215,7 @@ class Header(NamedTuple):
     shown: tuple[int, int]  # (height, width) of the display window; the file may contain only a part of it
     chromaticities: tuple[float, ...] | None  # x, y of red, green, blue and white, where the file states them
     colour_space: str | None  # name of the colour space, where the file states it; see `_colour_space`
+    projection: str | None  # which directions the pixels show, where the file states it; see `_projection`
 
 
 def picture_header(path) -> Header:
@@ -236,7 +237,17 @@ def picture_header(path) -> Header:
         found = "something else than eight numbers"
         raise InputError(path, "chromaticities", found, "x and y of red, green, blue and white")
     size, names = (spec.height, spec.width), list(spec.channelnames)
-    return Header(size, names, str(spec.format), shown, chromaticities, _colour_space(spec))
+    return Header(size, names, str(spec.format), shown, chromaticities, _colour_space(spec), _projection(spec))
+
+
+def _projection(spec: oiio.ImageSpec) -> str | None:
+    """Return the projection that a file states, such as ``LatLong Environment``; None if it states none.
+
+    OpenImageIO reports the attribute ``envmap`` of an EXR and the tag ``PixarTextureFormat`` of a TIFF as
+    ``textureformat``; programs that stitch photographs write ``GPano:ProjectionType``.
+    """
+    stated = spec.getattribute("textureformat") or spec.getattribute("GPano:ProjectionType")
+    return None if stated is None else str(stated)
 
 
 def _colour_space(spec: oiio.ImageSpec) -> str | None:

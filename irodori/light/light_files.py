@@ -5,8 +5,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
 from irodori.export.pictures import Header, layers_of, picture_bands, picture_header
+from irodori.light.clipped_lamps import LargestNumbers
 from irodori.light.omnidirectional import BAND_ROWS, OmnidirectionalPicture, from_panorama
+from irodori.light.whole_sphere import whole_sphere
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
 from irodori.spectra.published_tables import published_table
@@ -25,6 +28,12 @@ _CHROMATICITY_ROUNDING = 2e-3
 _LINEAR, _UNSPECIFIC = "lin_rec709_scene", ("data", "unknown")
 #: Accepted deviation of the width from twice the height, relative to the width; rescaling can cut pixels off.
 _ODD_SHARE = 0.01
+#: How statements of the accepted projection, or of none, begin in small letters.
+_EQUIRECTANGULAR = ("latlong", "equirectangular", "plain texture")
+#: Largest number of half precision.
+_HALF_LARGEST = 65504.0
+#: Negative light as a share of the positive, above which there is a warning; lossy compression leaves 1 to 2 %.
+_MOST_NEGATIVE = 0.05
 
 
 def mallett_basis() -> np.ndarray:
@@ -36,44 +45,72 @@ def mallett_basis() -> np.ndarray:
 
 
 def _panorama_header(path) -> Header:
-    """Read the header of a panorama; raise an error if the file contains only a part of the picture."""
+    """Read the header of a panorama; raise an error if the file states a part of a picture or another projection."""
     header = picture_header(path)
     if header.size != header.shown:
         (height, width), (whole_height, whole_width) = header.size, header.shown
         found = f"{width} x {height} pixels of a picture of {whole_width} x {whole_height}"
         raise InputError(path, "dataWindow", found, "every direction: a whole panorama")
+    stated = header.projection
+    if stated is not None and not stated.lower().startswith(_EQUIRECTANGULAR):
+        raise InputError(path, "projection", stated, "an equirectangular panorama (LatLong), or no statement")
     return header
 
 
-def _with_light(read: Callable[[], Iterator[np.ndarray]], path) -> Callable[[], Iterator[np.ndarray]]:
-    """Return a function that reads the same bands, and raises an error after the last if none has a positive value."""
+def _panorama(
+    header: Header,
+    channels: list[int],
+    basis: np.ndarray,
+    origin: dict,
+    path,
+    *,
+    convert: Callable[[np.ndarray], np.ndarray],
+    scale: float,
+    centre_azimuth_deg: float,
+) -> OmnidirectionalPicture:
+    """Make the picture of a file; raise an error if its size is not that of a full equirectangular panorama.
 
-    def bands() -> Iterator[np.ndarray]:
-        lit = False
-        for band in read():
-            lit = lit or bool((band > 0.0).any())
-            yield band
-        if not lit:
-            raise InputError(path, "", "no pixel with a positive value", "a panorama with light")
-
-    return bands
-
-
-def _panorama(size: tuple[int, int], basis: np.ndarray, read, path, origin: dict) -> OmnidirectionalPicture:
-    """Make the picture of a file; raise an error if its size is not that of a full equirectangular panorama."""
-    height, width = size
+    What makes its light doubtful is written to the log, and as ``warnings`` to ``origin``, when all bands have been
+    read. The function ``convert`` returns the weights on the basis for bands of the file's numbers.
+    """
+    height, width = header.size
     if abs(width - 2 * height) > _ODD_SHARE * width:
         accepted = "an equirectangular panorama of all directions, twice as wide as high"
         raise InputError(path, "", f"{width} x {height} pixels", accepted)
-    return OmnidirectionalPicture(size, basis, _with_light(read, path), path, origin)
+    not_negative = _NotNegative(origin)
+
+    def samples(tops: LargestNumbers) -> Iterator[np.ndarray]:
+        lit = False
+        for first, band in picture_bands(path, BAND_ROWS):
+            numbers = _sound(band[..., channels], first, path)
+            tops.add(numbers)
+            values = not_negative(convert(numbers), first)
+            lit = lit or bool((values > 0.0).any())
+            yield values
+        if not lit:
+            raise InputError(path, "", "no pixel with a positive value", "a panorama with light")
+
+    def read() -> Iterator[np.ndarray]:
+        tops = LargestNumbers([header.channels[index] for index in channels], height * width)
+        for values in whole_sphere(samples(tops), header.size, path):
+            yield from_panorama(values * np.float32(scale), centre_azimuth_deg)
+        known, origin["warnings"] = "warnings" in origin, [*tops.clipping(), *not_negative.warnings()]
+        for text in [] if known else origin["warnings"]:
+            LOGGER.warning("%s: %s", path, text)
+
+    return OmnidirectionalPicture(header.size, basis, read, path, origin)
 
 
-def _finite(band: np.ndarray, first: int, path) -> np.ndarray:
-    """Return a band of a picture; raise an error if a pixel is not finite."""
+def _sound(band: np.ndarray, first: int, path) -> np.ndarray:
+    """Return a band of a picture; raise an error if a pixel is not finite, or at the end of half precision."""
+    rows = f"in rows {first} to {first + len(band) - 1}"
     bad = int((~np.isfinite(band)).any(axis=-1).sum())
     if bad:
-        found = f"{bad} pixels that are not finite in rows {first} to {first + len(band) - 1}"
-        raise InputError(path, "", found, "finite radiance everywhere")
+        raise InputError(path, "", f"{bad} pixels that are not finite {rows}", "finite radiance everywhere")
+    bad = int((band == _HALF_LARGEST).any(axis=-1).sum())
+    if bad:
+        found = f"{bad} pixels of exactly {_HALF_LARGEST:g} {rows}, at which half precision cuts off brighter ones"
+        raise InputError(path, "", found, "radiance below that, as after a division by ten, which the scale takes back")
     return band
 
 
@@ -96,6 +133,13 @@ class _NotNegative:
         self._origin |= {"negative_pixels": pixels, "negative_sum_over_positive": float(below / max(above, 1e-30))}
         return out
 
+    def warnings(self) -> list[str]:
+        """Return a warning if too much light was negative."""
+        share = self._origin["negative_sum_over_positive"]
+        if share <= _MOST_NEGATIVE:
+            return []
+        return [f"negative values of {100 * share:.0f} % of the positive ones were set to 0, which adds light"]
+
 
 def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> OmnidirectionalPicture:
     """Open the light of an RGB panorama; its spectra are assumed, after Mallett and Yuksel (2019).
@@ -114,13 +158,15 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Om
     Raises
     ------
     InputError
-        If the file cannot be read, lacks R, G or B, states other primaries or another colour space, contains only a
-        part of the picture, is not twice as wide as high, has columns stored as rows, or has integer samples. While the
-        bands are read: if the file is truncated, a pixel is not finite, or none is positive.
+        If the file cannot be read, lacks R, G or B, states other primaries, another colour space or another projection,
+        contains only a part of the picture, is not twice as wide as high, has columns stored as rows, or has integer
+        samples. While the bands are read: if the file is truncated, a pixel is not finite or at the end of half
+        precision, none is positive, or the picture does not show all directions (`irodori.light.whole_sphere`).
 
     Notes
     -----
-    Negative values, which result from lossy compression and wide gamuts, are set to 0 and counted in ``origin``.
+    Negative values, which result from lossy compression and wide gamuts, are set to 0 and counted in ``origin``; above
+    5 % of the positive ones there is a warning, and so there is if the largest number looks like clipped lamps.
     """
     header = _panorama_header(path)
     names, depth = header.channels, header.depth
@@ -139,14 +185,10 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Om
         accepted = f"{_LINEAR}, linear light of the primaries of sRGB, or no statement"
         raise InputError(path, "colour space", str(header.colour_space), accepted)
     origin = {"kind": "rgb", "assumption": _RGB_ASSUMPTION}
-    not_negative, channels = _NotNegative(origin), [names.index(name) for name in "RGB"]
-
-    def read() -> Iterator[np.ndarray]:
-        for first, band in picture_bands(path, BAND_ROWS):
-            rgb = not_negative(_finite(band[..., channels], first, path), first)
-            yield from_panorama(rgb * np.float32(scale), centre_azimuth_deg)
-
-    return _panorama(header.size, mallett_basis(), read, path, origin)
+    return _panorama(
+        header, [names.index(name) for name in "RGB"], mallett_basis(), origin, path,
+        convert=lambda rgb: rgb, scale=scale, centre_azimuth_deg=centre_azimuth_deg,
+    )  # fmt: skip
 
 
 def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> OmnidirectionalPicture:
@@ -164,21 +206,17 @@ def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) 
     Raises
     ------
     InputError
-        If the file cannot be read, has no emissive layers (as a picture of reflectances), contains only a part of the
-        picture, is not twice as wide as high, has columns stored as rows, or does not cover the wavelengths. While the
-        bands are read: if the file is truncated, a value is not finite, or none is positive.
+        If the file cannot be read, has no emissive layers (as a picture of reflectances), states another projection,
+        contains only a part of the picture, is not twice as wide as high, has columns stored as rows, or does not cover
+        the wavelengths. While the bands are read: as `rgb_picture`, which also has its warnings.
     """
     header = _panorama_header(path)
     wavelength_nm, channels = layers_of(header.channels, path)
     resample_picture(wavelength_nm, np.zeros((1, len(wavelength_nm)), np.float32), path)  # refuses before reading
     bounds = [float(wavelength_nm[0]), float(wavelength_nm[-1]), len(wavelength_nm)]
     origin = {"kind": "spectral", "wavelengths_nm": bounds}
-    not_negative = _NotNegative(origin)
-
-    def read() -> Iterator[np.ndarray]:
-        for first, band in picture_bands(path, BAND_ROWS):
-            spectra = _finite(band[..., channels], first, path)
-            values = not_negative(resample_picture(wavelength_nm, spectra, path), first)
-            yield from_panorama(values * np.float32(scale), centre_azimuth_deg)
-
-    return _panorama(header.size, np.eye(WAVELENGTH_NM.size), read, path, origin)
+    return _panorama(
+        header, channels, np.eye(WAVELENGTH_NM.size), origin, path,
+        convert=lambda spectra: resample_picture(wavelength_nm, spectra, path),
+        scale=scale, centre_azimuth_deg=centre_azimuth_deg,
+    )  # fmt: skip

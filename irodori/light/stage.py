@@ -39,6 +39,7 @@ from irodori.light.omnidirectional import (
 )
 from irodori.light.placed_lights import lights_picture
 from irodori.light.room_charts import read_room_charts, recovery_with
+from irodori.light.whole_sphere import whole_sphere
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
 from irodori.material.principal_components.pixel_tiles import Tiles
 from irodori.material.principal_components.second_moments import second_moments
@@ -106,7 +107,11 @@ def _photographed(
     def solid_angle(rows: slice) -> np.ndarray:
         return directions(1, len(valid), rows)[1].repeat(valid.shape[1])
 
-    drawn = draw_directions((part.reshape(-1, part.shape[-1]), solid_angle(rows)) for rows, part in responses())
+    parts = whole_sphere((part for _, part in responses()), valid.shape, linear)
+    drawn = draw_directions(
+        (part.reshape(-1, part.shape[-1]), solid_angle(rows))
+        for part, rows in zip(parts, bands(len(valid)), strict=True)
+    )
     recovery = recovery_of(drawn)
 
     def read() -> Iterator[np.ndarray]:
@@ -180,7 +185,8 @@ def prepare_environment(
     Raises
     ------
     InputError
-        If a pixel is saturated in every bracket, or masked pixels are adjacent; if a chart in the place cannot be read,
+        If a pixel is saturated in every bracket, or masked pixels are adjacent; if a panorama does not show all
+        directions, see `irodori.light.whole_sphere`; if a chart in the place cannot be read,
         or a chart or the lamps are inconsistent with the panorama.
 
     Notes

@@ -155,7 +155,7 @@ def test_measured_places_become_environments(tmp_path, name):
     weights = picture.weights
     assert weights.shape == (256, 512, 3) and (weights >= 0).all()
     assert (picture.origin["negative_pixels"] > 0) == (name != "museum")
-    assert picture.origin["negative_sum_over_positive"] < 0.05
+    assert picture.origin["negative_sum_over_positive"] < 0.05 and picture.origin["warnings"] == []
 
 
 def test_an_rgb_environment_in_a_file(tmp_path):
