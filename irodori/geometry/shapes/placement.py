@@ -61,7 +61,7 @@ def _table_under_mm(lain: Placement) -> float:
     shape, height_mm = lain.shape, float(lain.translation_mm[2])
     if shape.ball_mm is not None or shape.is_flat:
         return height_mm + shape.table_height_mm
-    # A table that cut through an object which registration has turned by a fraction of a degree would hide a part of it.
+    # A table that cuts through an object, which registration turns by a fraction of a degree, would hide a part of it.
     return height_mm + float((shape.facetted(shape.reach_mm).vertices_mm @ lain.rotation[2]).min())
 
 
