@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+import numpy as np
+
 from irodori.core.errors import InputError
 
 #: A face with an index of 0: an OBJ counts from 1, or from -1 backwards, and readers take 0 for any vertex.
@@ -30,13 +32,17 @@ def obj_text(path) -> bytes:
         raise InputError(path, "faces", found, "indices of vertices from 1, as an OBJ counts them")
     if not _POLYGON.search(text):
         return text
-    vertices = [tuple(map(float, found.groups())) for found in _VERTEX.finditer(text)]
+    vertices = np.array([found.groups() for found in _VERTEX.finditer(text)], dtype=np.float64).reshape(-1, 3)
+    is_convex = iter(_convex_quads(text, vertices))
 
     def cut(polygon) -> bytes:
         corners = polygon.group(1).split()
+        if len(corners) == 4 and next(is_convex):
+            a, b, c, d = corners
+            return b"f %b %b %b\nf %b %b %b" % (a, b, c, a, c, d)
         numbers = [int(corner.split(b"/")[0]) for corner in corners]
         try:
-            triangles = _triangles([vertices[number - (number > 0)] for number in numbers])
+            triangles = _triangles([tuple(vertices[number - (number > 0)].tolist()) for number in numbers])
         except IndexError:
             found = f"the face {_shown(polygon)}, with a vertex that is none of the {len(vertices)} of the file"
             raise InputError(path, "faces", found, "triangles on vertices of the file") from None
@@ -46,6 +52,20 @@ def obj_text(path) -> bytes:
         return b"\n".join(b"f " + b" ".join(corners[i] for i in triangle) for triangle in triangles)
 
     return _POLYGON.sub(cut, text)
+
+
+def _convex_quads(text: bytes, vertices: np.ndarray) -> list[bool]:
+    """Return whether each face of four corners is convex, in their order: most polygons of large files are."""
+    quads = [corners for face in _POLYGON.finditer(text) if len(corners := face.group(1).split()) == 4]
+    number = np.array(
+        [[int(corner.split(b"/")[0]) for corner in corners] for corners in quads], dtype=np.int64
+    ).reshape(-1, 4)
+    number -= number > 0
+    known = ((number >= -len(vertices)) & (number < len(vertices))).all(axis=1)
+    points = vertices[np.where(known[:, None], number, 0)]
+    edge = np.roll(points, -1, axis=1) - points
+    turn = np.cross(edge, np.roll(edge, -1, axis=1))
+    return (known & (np.einsum("nci,ni->nc", turn, turn.sum(axis=1)) > 0.0).all(axis=1)).tolist()
 
 
 def _shown(found: re.Match) -> str:
