@@ -61,7 +61,7 @@ def _convex_quads(text: bytes, vertices: np.ndarray) -> list[bool]:
         [[int(corner.split(b"/")[0]) for corner in corners] for corners in quads], dtype=np.int64
     ).reshape(-1, 4)
     number -= number > 0
-    known = ((number >= -len(vertices)) & (number < len(vertices))).all(axis=1)
+    known = np.all((number >= -len(vertices)) & (number < len(vertices)), axis=1)
     points = vertices[np.where(known[:, None], number, 0)]
     edge = np.roll(points, -1, axis=1) - points
     turn = np.cross(edge, np.roll(edge, -1, axis=1))
