@@ -11,15 +11,24 @@ import numpy as np
 
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.geometry.normals import corner_normals
+from irodori.geometry.normals import corner_normals, least_cosines
 from irodori.jit.compilation import njit
 
 #: Twice the area of a triangle, relative to the squared extent of the mesh, below which it has no normal.
 _NO_AREA = 1e-15
 #: Texture coordinates may exceed 0..1 by this much because of rounding.
 _UV_ROUNDING = 1e-6
+#: Gap between two positions on the border of a surface, relative to its extent, below which they count as one.
+_ONE_PLACE = 1e-6
+#: Share of the area below which a fault of single triangles is not mentioned.
+_HARDLY_ANY = 1e-3
+#: Share of the area with wrong normals at which a mesh is refused, or questioned.
+_MUCH = 0.1
+#: Angle, degrees, by which a normal may lean beyond the facets around it; and from its own facet before that is said.
+_UNEXPLAINED_DEG, _STEEP_DEG = 5.0, 15.0
 #: Odd factors by which the bits of three coordinates make a hash.
 _HASH = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0x165667B19E3779F9))
+WITHOUT_NORMALS = "they are then computed, with edges where triangles meet at more than `shape.crease_deg`"
 ACCEPTED_UV = "one UV atlas over the whole surface (unwrap it in the program that made it, and export with UV)"
 
 
@@ -97,7 +106,8 @@ def make_mesh(corners_mm, uv, normals=None, crease_deg: float = 40.0, file="mesh
     ------
     InputError
         If texture coordinates are missing or outside 0..1, a number is not finite, no triangle has an area,
-        neighbouring triangles have opposite orientations, a closed surface is inside out, or most normals point inward.
+        neighbouring triangles have opposite orientations, a closed surface is inside out, or normals point inward or
+        lean further than the triangles around their corners.
     """
     corners = np.asarray(corners_mm, dtype=np.float64).reshape(-1, 3, 3)
     if uv is None:
@@ -120,10 +130,13 @@ def make_mesh(corners_mm, uv, normals=None, crease_deg: float = 40.0, file="mesh
     if not solid.all():
         LOGGER.info("%s: %d of %d triangles have no area and are left out", file, (~solid).sum(), len(solid))
     faces, uv = faces[solid], np.clip(uv[solid], 0.0, 1.0)
-    _check_winding(vertices, faces, file)
+    _check_winding(vertices, _closed_gaps(vertices, faces), file)
+    _warn_of_collapsed(uv, across[solid], file)
     if normals is None:
         return Mesh(vertices, faces, uv, corner_normals(vertices, faces, crease_deg))
-    return Mesh(vertices, faces, uv, _unit(np.asarray(normals, dtype=np.float64)[solid], vertices, faces, file))
+    normals = _unit(np.asarray(normals, dtype=np.float64)[solid], vertices, faces)
+    _check_normals(normals, vertices, faces, file)
+    return Mesh(vertices, faces, uv, normals)
 
 
 def _weld(corners) -> tuple[np.ndarray, np.ndarray]:
@@ -172,13 +185,51 @@ def _number_places(points, bits, slots, number):
     return first[:count].copy()
 
 
+def _edges(faces, count: int) -> np.ndarray:
+    """Return numbers of the edges of triangles on ``count`` vertices, (3 m,) int64, the same from both sides."""
+    start, end = faces.astype(np.int64).ravel(), np.roll(faces, -1, axis=1).astype(np.int64).ravel()
+    return np.minimum(start, end) * count + np.maximum(start, end)
+
+
+def _closed_gaps(vertices, faces) -> np.ndarray:
+    """Return triangles, (m, 3), with one vertex for all those on the border that lie in one place but for rounding."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    edge, count = np.unique(_edges(faces, len(vertices)), return_counts=True)
+    border = np.unique(np.concatenate(np.divmod(edge[count == 1], len(vertices))))
+    if not len(border):
+        return faces
+    pairs = cKDTree(vertices[border]).query_pairs(_ONE_PLACE * np.ptp(vertices, axis=0).max(), output_type="ndarray")
+    if not len(pairs):
+        return faces
+    _, group = connected_components(coo_array((np.ones(len(pairs)), pairs.T), shape=(len(border),) * 2), directed=False)
+    one = np.arange(len(vertices), dtype=faces.dtype)
+    one[border] = border[np.unique(group, return_index=True)[1]][group]
+    joined = one[faces]
+    return joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
+
+
+def _warn_of_collapsed(uv, area, file) -> None:
+    """Warn if triangles, with ``area`` (m,) in any unit, have a chart without area: no texel shows them."""
+    one, two = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    share = area[np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) < _NO_AREA].sum() / area.sum()
+    if share > _HARDLY_ANY:
+        LOGGER.warning(
+            "%s: UV: %.1f %% of the area has texture coordinates on one point or line, hence no texels and no "
+            "measurement; accepted: %s",
+            file, 100.0 * share, ACCEPTED_UV,
+        )  # fmt: skip
+
+
 def _check_winding(vertices, faces, file) -> None:
     """Raise `InputError` if neighbouring triangles have opposite orientations, or a closed surface is inside out.
 
     Edges with three or more triangles are not checked: such surfaces are traced and shaded like others.
     """
     start, end = faces.astype(np.int64).ravel(), np.roll(faces, -1, axis=1).astype(np.int64).ravel()
-    edge = np.minimum(start, end) * len(vertices) + np.maximum(start, end)
+    edge = _edges(faces, len(vertices))
     order = np.argsort(edge, kind="stable")
     first = np.flatnonzero(np.diff(edge[order], prepend=-1))
     count = np.diff(np.append(first, len(order)))
@@ -205,17 +256,44 @@ def _volume(vertices, faces, centre):
     return total
 
 
-def _unit(normals, vertices, faces, file) -> np.ndarray:
-    """Normalise the normals of a file, (m, 3, 3); corners without a normal get that of their triangle.
-
-    Raises `InputError` if most normals point inward.
-    """
+def _unit(normals, vertices, faces) -> np.ndarray:
+    """Normalise the normals of a file, (m, 3, 3); corners without a normal get that of their triangle."""
     facet = _across(vertices, faces)
     facet = np.repeat((facet / np.linalg.norm(facet, axis=1, keepdims=True))[:, None], 3, axis=1)
     length = np.linalg.norm(normals, axis=2, keepdims=True)
-    normals = np.where(length > 1e-12, normals / np.maximum(length, 1e-12), facet)
-    inward = np.sum(normals * facet, axis=2) < 0
-    if inward.mean() > 0.5:
-        found = f"{inward.mean():.0%} of the normals against the winding of their triangles"
-        raise InputError(file, "normals", found, "normals that look outward, or a file without them")
-    return normals
+    return np.where(length > 1e-12, normals / np.maximum(length, 1e-12), facet)
+
+
+def _check_normals(normals, vertices, faces, file) -> None:
+    """Raise `InputError` if normals of a file look inward or lean further than facets bend; warn if they lean far.
+
+    A smooth normal is a mean over the facets at a vertex, so that it leans from none of them by more than that facet is
+    from the farthest other one. On a fine mesh of a round object that is little. On a box with smoothed normals it is
+    the angle at its edges, and its flat sides would be measured as round ones: of this the user is told.
+    """
+    facet = _across(vertices, faces)
+    area = np.linalg.norm(facet, axis=1)
+    facet, area = facet / area[:, None], area / area.sum()
+    inward = area[np.sum(normals.sum(axis=1) * facet, axis=1) < 0.0].sum()
+    accepted = f"normals that fit the triangles, or a file without them ({WITHOUT_NORMALS})"
+    if inward > _MUCH:
+        raise InputError(file, "normals", f"{inward:.0%} of the area with normals against its winding", accepted)
+    lean = np.degrees(np.arccos(np.clip(np.sum(normals * facet[:, None], axis=2), -1.0, 1.0)))
+    share = np.repeat(area[:, None] / 3.0, 3, axis=1)
+    steep = lean > _STEEP_DEG
+    if not (lean > _UNEXPLAINED_DEG).any():
+        return
+    excess = lean - np.degrees(np.arccos(least_cosines(vertices, faces)))
+    loose = excess > _UNEXPLAINED_DEG
+    if share[loose].sum() > _MUCH:
+        found = (
+            f"{share[loose].sum():.0%} of the area with normals that lean from its triangles, by up to "
+            f"{lean[loose].max():.0f} degrees, further than these bend"
+        )
+        raise InputError(file, "normals", found, accepted)
+    if share[steep].sum() > _MUCH:
+        LOGGER.warning(
+            "%s: normals: on %.0f %% of the area they lean from the triangles by more than %.0f degrees, up to %.0f; "
+            "right for a coarse mesh of a round object, wrong for flat sides with edges; accepted: %s",
+            file, 100.0 * share[steep].sum(), _STEEP_DEG, lean.max(), accepted,
+        )  # fmt: skip

@@ -1,6 +1,7 @@
 """Reading of OBJ, PLY and glTF meshes with the library trimesh."""
 
 import logging
+from io import BytesIO
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -11,6 +12,7 @@ from irodori.core.progress import LOGGER
 from irodori.geometry.mesh import ACCEPTED_UV, Mesh, make_mesh
 from irodori.geometry.mesh_sizes import check_declared
 from irodori.geometry.mesh_sources import mesh_files
+from irodori.geometry.obj_text import obj_text
 
 MM_IN = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 #: Largest coordinate (1000 km): its square and cube are far below the largest double-precision number.
@@ -179,5 +181,6 @@ def _load(path, files: list[str], **options):
     logging.getLogger("trimesh").setLevel(logging.ERROR)  # it reports pictures that the project does not read
     # trimesh gives the UV coordinates of a glTF with its material only.
     options |= {"process": False, "skip_materials": not _is_gltf(path), "resolver": _OwnBuffers(files)}
-    with open(path, "rb") as file:
-        return trimesh.load_scene(file, file_type=Path(path).suffix.lower().removeprefix("."), **options)
+    kind = Path(path).suffix.lower().removeprefix(".")
+    with BytesIO(obj_text(path)) if kind == "obj" else open(path, "rb") as file:
+        return trimesh.load_scene(file, file_type=kind, **options)

@@ -1,7 +1,6 @@
-"""Checks of mesh files before they are read: the amount of data that they declare, and indices of an OBJ."""
+"""Check of the amount of data that a mesh file declares, before it is read."""
 
 import json
-import re
 import struct
 from pathlib import Path
 
@@ -18,12 +17,10 @@ _GLTF_NUMBERS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3"
 #: Largest plausible factor by which accessors of a glTF share the same bytes.
 _SHARED = 4
 _JSON_CHUNK = b"JSON"
-#: A face of an OBJ with an index of 0: they count from 1, or from -1 backwards, and readers take 0 for any vertex.
-_ZERO_INDEX = re.compile(rb"^[ \t]*f[ \t][^\r\n]*?(?<=[ \t/])0+(?![^ \t/\r\n])[^\r\n]*", re.MULTILINE)
 
 
 def check_declared(path, held: int) -> None:
-    """Check that a PLY, GLB or glTF does not declare more data than it contains, and the indices of an OBJ.
+    """Check that a PLY, GLB or glTF does not declare more data than it contains.
 
     Parameters
     ----------
@@ -34,12 +31,9 @@ def check_declared(path, held: int) -> None:
     Raises
     ------
     InputError
-        If it declares more, or its header cannot be read, or a face of an OBJ has an index of 0.
+        If it declares more, or its header cannot be read.
     """
     suffix = Path(path).suffix.lower()
-    if suffix == ".obj" and (face := _ZERO_INDEX.search(Path(path).read_bytes())):
-        found = f"the face {face.group().strip().decode('ascii', 'replace')[:80]!r}, with an index of 0"
-        raise InputError(path, "faces", found, "indices of vertices from 1, as an OBJ counts them")
     try:
         if suffix == ".ply":
             declared = _ply_bytes(path)

@@ -60,6 +60,16 @@ def _list_members(faces, first, members):
             filled[vertex] += 1
 
 
+def _corners(vertices, faces) -> _Corners:
+    """Sort the corners of triangles by vertex, and measure the triangles."""
+    facets, angle = np.empty((len(faces), 3)), np.empty(faces.shape)
+    _measure(vertices, faces, facets, angle)
+    first, members = np.zeros(len(vertices) + 1, np.int64), np.empty(faces.size, np.int64)
+    first[1:] = np.bincount(faces.ravel(), minlength=len(vertices))
+    _list_members(faces, first, members)
+    return _Corners(first, members, facets, angle)
+
+
 @njit(cache=True, nogil=True)
 def _gather(corners, cosine, out, start, end):
     """Fill the normals of the corners at the vertices from ``start`` to before ``end``, see `_Corners`."""
@@ -82,6 +92,33 @@ def _gather(corners, cosine, out, start, end):
                 out[mine, members[i] % 3, a] = total[a] / length if length > 1e-12 else facets[mine, a]
 
 
+@njit(cache=True, nogil=True)
+def _compare(corners, cosine, out, start, end):
+    """Fill the least cosines of the corners at the vertices from ``start`` to before ``end``, see `least_cosines`."""
+    first, members, facets, _ = corners
+    for vertex in range(start, end):
+        for i in range(first[vertex], first[vertex + 1]):
+            mine = members[i] // 3
+            least = cosine
+            for j in range(first[vertex], first[vertex + 1]):
+                other = members[j] // 3
+                along = 0.0
+                for a in range(3):
+                    along += facets[mine, a] * facets[other, a]
+                least = min(least, along)
+            out[mine, members[i] % 3] = max(least, -1.0)
+
+
+def least_cosines(vertices, faces) -> np.ndarray:
+    """Return the cosine of each triangle's normal with the farthest of those at each of its corners, (m, 3).
+
+    Parameters are those of `corner_normals`.
+    """
+    out = np.empty(faces.shape)
+    run_chunks(_compare, len(vertices), _CHUNK, _corners(vertices, faces), 1.0, out)
+    return out
+
+
 def corner_normals(vertices, faces, crease_deg: float) -> np.ndarray:
     """Compute unit shading normals at the corners of every triangle, (m, 3, 3) float64.
 
@@ -94,13 +131,8 @@ def corner_normals(vertices, faces, crease_deg: float) -> np.ndarray:
     crease_deg : float
         Largest angle, degrees, between the normals of two triangles at a vertex that enter a common mean.
     """
-    facets, angle = np.empty((len(faces), 3)), np.empty(faces.shape)
-    _measure(vertices, faces, facets, angle)
-    first, members = np.zeros(len(vertices) + 1, np.int64), np.empty(faces.size, np.int64)
-    first[1:] = np.bincount(faces.ravel(), minlength=len(vertices))
-    _list_members(faces, first, members)
     out = np.empty((*faces.shape, 3))
     # With rounding, the scalar product of two equal normals may be below the cosine of 0 degrees.
     cosine = math.cos(math.radians(crease_deg)) - 1e-9
-    run_chunks(_gather, len(vertices), _CHUNK, _Corners(first, members, facets, angle), cosine, out)
+    run_chunks(_gather, len(vertices), _CHUNK, _corners(vertices, faces), cosine, out)
     return out

@@ -192,7 +192,8 @@ class FittedTiles:
             unknown += int((has & ~np.isfinite(maps["diffuse_variance"]).all(axis=-1)).sum())
         if not observed:
             found = "no texel with enough observations"
-            raise InputError(self.first, "status", found, "captures that see the object")
+            accepted = "captures that see the object lit and from its front (flip the faces of a mesh that looks away)"
+            raise InputError(self.first, "status", found, accepted)
         if unknown:
             share = 100 * unknown / measured
             LOGGER.info("noise not measured for %.1f %% of the texels: it has no part in their spectra", share)

@@ -10,7 +10,7 @@ from irodori.config.capture_table import Pose
 from irodori.core import store
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import rig_from_object, rotation_xyz
-from irodori.geometry.shapes.placement import Placement, laid, on_table
+from irodori.geometry.shapes.placement import Placement, laid, with_table
 from irodori.geometry.shapes.shape import Shape
 
 if TYPE_CHECKING:
@@ -124,13 +124,8 @@ class Correction:
 
     def placements(self, shape: Shape, pose: Pose, table_radius_mm: float) -> list[Placement]:
         """Return the corrected placements of object (0) and table (1, absent for radius 0) in the rig's frame."""
-        lain = Placement(shape, *self.in_rig(pose))
-        if table_radius_mm == 0.0:
-            return [lain]
-        rotation = rig_from_object(pose)
-        _, *table = on_table(shape, rotation, table_radius_mm)
-        height = rotation @ np.array([0.0, 0.0, self.values[2]])
-        return [lain, *(replace(top, translation_mm=top.translation_mm + height) for top in table)]
+        lain = Placement(shape, self.table_from_object, self.translation_mm)
+        return with_table(lain, rig_from_object(pose), table_radius_mm)
 
     def in_rig(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Return rotation (3, 3) and displacement (3,) mm of the object in the rig's frame."""

@@ -69,7 +69,7 @@ def real_turn(definitions, number) -> np.ndarray:
     rig = definitions["rigs"]["virtual"]["virtual"]
     off = made(LaidOff, {"enabled": True, "rotation_deg": [0.2, -0.3, 0.4]})
     lain = Placement(Sphere(30.0), np.eye(3) if number == 1 else rotation_xyz(OVER))
-    return _laid_off(lain, np.eye(3), off, rig["seed"], number).rotation
+    return _laid_off(lain, off, rig["seed"], number).rotation
 
 
 @pytest.mark.heavy

@@ -4,27 +4,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shortcuts import ball
-from test_meshes import SEEDS, body, in_order
+from test_meshes import SEEDS, body, cube, in_order
 
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.shapes.triangle_mesh import TriangleMesh
-
-
-def cube(seed):
-    """A cube of 2 mm whose six faces are cut along diagonals drawn at random."""
-    rng = np.random.default_rng(seed)
-    corners, charts = [], []
-    for face in range(6):
-        axis, side = face // 2, 1.0 if face % 2 else -1.0
-        a, b = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-        ring = [side * np.eye(3)[axis] + x * a + y * b for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        chart = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) * 0.15 + [face / 6, 0.0]
-        cuts = [(0, 1, 2), (0, 2, 3)] if rng.random() < 0.5 else [(0, 1, 3), (1, 2, 3)]
-        for cut in cuts:
-            order = cut if side > 0 else cut[::-1]
-            corners.append([ring[i] for i in order])
-            charts.append([chart[i] for i in order])
-    return np.array(corners), np.array(charts)
 
 
 @given(seed=SEEDS)

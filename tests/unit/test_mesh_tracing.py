@@ -29,6 +29,7 @@ from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.shape import Shape
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.geometry.shapes.triangle_mesh import TriangleMesh
+from irodori.rectification.placement_correction import AS_TYPED
 from irodori.rectification.stage import observe
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -174,6 +175,24 @@ def test_a_convex_mesh_neither_hides_nor_shadows_itself_at_any_size(exponent, se
     assert lit.mean() > 0.3
     frontal = np.radians(89.0)
     assert sight.visible[(sight.geometry[:, 1] < frontal - np.radians(8.0))].all()
+
+
+@pytest.mark.parametrize("turned", [(0.2, -0.3), (-0.8, 0.5)])
+def test_a_flat_mesh_that_registration_turns_is_not_cut_by_the_table_it_lies_on(turned):
+    place = 45.0 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
+    chart = np.array([[0, 1], [1, 1], [1, 0], [0, 0.0]])
+    faces = [[0, 1, 2], [0, 2, 3]]
+    shape = TriangleMesh(make_mesh(place[faces], chart[faces]))
+    texels, pose = shape.atlas(48, 48), Pose(45.0, 20.0, 15.0)
+    correction = AS_TYPED.by([0.0, 0.0, 0.2, *turned, *[0.0] * 7])
+    lies, table = correction.placements(shape, pose, 25.0)
+    position, normal = lies.points(texels.position).reshape(-1, 3), texels.normal.reshape(-1, 3) @ lies.rotation.T
+    sight = observe(position, normal, Tracer([lies, table]), pose, setup_of())
+    assert sight.visible.all() and sight.lit.all()
+    # What faces the table is still hidden by it.
+    over = (np.abs(texels.position[..., :2]) < 20.0).all(axis=2).ravel()
+    below = observe(position, -normal, Tracer([lies, table]), Pose(45.0 + 180.0, 200.0, 15.0), setup_of())
+    assert not below.visible[over].any() and not below.lit[over].any()
 
 
 def test_the_neck_of_the_vase_lies_in_the_shadow_of_its_lip():

@@ -1,5 +1,7 @@
 """Triangle meshes with UV: what files say, what is refused, which texel lies where, and shading normals."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -42,6 +44,23 @@ def body(seed=0, segments=12):
     corners, uv = corners[solid], uv[solid]
     normals = unit(facets_of(corners)[:, None] + 0.3 * rng.normal(size=corners.shape))
     return corners, uv, normals
+
+
+def cube(seed):
+    """A cube of 2 mm whose six faces are cut along diagonals drawn at random."""
+    rng = np.random.default_rng(seed)
+    corners, charts = [], []
+    for face in range(6):
+        axis, side = face // 2, 1.0 if face % 2 else -1.0
+        a, b = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+        ring = [side * np.eye(3)[axis] + x * a + y * b for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        chart = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) * 0.15 + [face / 6, 0.0]
+        cuts = [(0, 1, 2), (0, 2, 3)] if rng.random() < 0.5 else [(0, 1, 3), (1, 2, 3)]
+        for cut in cuts:
+            order = cut if side > 0 else cut[::-1]
+            corners.append([ring[i] for i in order])
+            charts.append([chart[i] for i in order])
+    return np.array(corners), np.array(charts)
 
 
 def written(path, corners, uv, normals=None):
@@ -259,8 +278,102 @@ def test_a_closed_surface_inside_out_is_refused_and_so_are_normals_that_look_inw
     corners, uv, normals = body()
     with pytest.raises(InputError, match="looks inward"):
         make_mesh(corners[:, ::-1], uv[:, ::-1])
-    with pytest.raises(InputError, match="normals against the winding"):
+    with pytest.raises(InputError, match="100% of the area with normals against its winding"):
         make_mesh(corners, uv, -normals)
+
+
+def test_an_inconsistent_winding_is_found_through_a_gap_of_rounding():
+    corners, uv = square()
+    corners[1] = corners[1, ::-1] + 1e-6
+    with pytest.raises(InputError, match="1 edges whose two triangles look to opposite sides"):
+        make_mesh(corners, uv)
+    corners[1] += 1e-3  # two sheets, each of which may look where it likes
+    make_mesh(corners, uv)
+
+
+@pytest.mark.parametrize("lean_deg", [10.0, 55.0, 80.0])
+def test_normals_that_lean_on_a_flat_surface_are_refused_with_their_angle(lean_deg):
+    corners, uv = square()
+    lean = np.radians(lean_deg)
+    outward = unit((corners - [5.0, 5.0, 0.0]) * [1.0, 1.0, 0.0]) * np.sin(lean) + [0.0, 0.0, np.cos(lean)]
+    with pytest.raises(InputError, match=rf"100% of the area .* by up to {lean_deg:.0f} degrees.*crease_deg"):
+        make_mesh(corners, uv, outward)
+    make_mesh(corners, uv, np.broadcast_to([0.0, 0.0, 1.0], corners.shape))
+
+
+def test_one_of_two_triangles_with_normals_against_it_is_refused():
+    corners, uv = square()
+    normals = np.zeros_like(corners)
+    normals[:, :, 2] = [[1.0], [-1.0]]
+    with pytest.raises(InputError, match="50% of the area with normals against its winding"):
+        make_mesh(corners, uv, normals)
+
+
+def test_smooth_normals_are_taken_and_those_that_round_off_flat_sides_are_told_of(caplog):
+    corners, uv = ball(10.0, 24, 48)
+    solid = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) > 1e-9
+    make_mesh(corners[solid], uv[solid], corners[solid])
+    assert "lean" not in caplog.text
+    corners, uv = cube(0)
+    make_mesh(corners, uv, corners)
+    assert re.search(r"on 100 % of the area they lean .* more than 15 degrees, up to 55; .*crease_deg", caplog.text)
+
+
+def test_a_chart_without_area_is_told_of_with_the_share_of_the_surface(caplog):
+    corners, uv = square()
+    make_mesh(corners, uv)
+    assert not caplog.text
+    uv[1, 1:] = uv[1, 0]
+    make_mesh(corners, uv)
+    assert "UV: 50.0 % of the area has texture coordinates on one point or line" in caplog.text
+
+
+# Polygons of an OBJ
+
+ARROW = [(-40.0, -40.0), (0.0, 0.0), (40.0, -40.0), (0.0, 40.0)]
+PENTAGON = [(30.0 * float(np.cos(a)), 30.0 * float(np.sin(a))) for a in 2.0 * np.pi * np.arange(5) / 5]
+STAR = [
+    (r * float(np.cos(a)), r * float(np.sin(a)))
+    for a, r in zip(np.pi * np.arange(10) / 5, [40.0, 12.0] * 5, strict=True)
+]
+
+
+def obj_of(path, polygon, end="\n"):
+    """Write a polygon, (x, y) mm, as one face in the plane z = y / 2, whose chart is the polygon."""
+    lines = [f"v {x!r} {y!r} {y / 2!r}" for x, y in polygon] + [
+        f"vt {(x + 50) / 100} {(y + 50) / 100}" for x, y in polygon
+    ]
+    lines.append("f " + " ".join(f"{i}/{i}" for i in range(1, len(polygon) + 1)))
+    path.write_bytes(end.join([*lines, ""]).encode())
+    return path
+
+
+@pytest.mark.parametrize("polygon", [ARROW, PENTAGON, STAR, [(0.0, 0.0), (10.0, 0.0), (20.0, 0.0), (20.0, 20.0)]])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_polygons_of_an_obj_become_triangles_that_cover_them_once(tmp_path, polygon, end):
+    for turned in range(len(polygon)):
+        points = polygon[turned:] + polygon[:turned]
+        mesh = read_mesh(obj_of(tmp_path / "a.obj", points, end), "mm", pivot_mm=(0.0, 0.0, 0.0))
+        x, y = np.array(points).T
+        area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
+        flat = mesh.vertices_mm[mesh.faces][..., :2]
+        found = 0.5 * np.linalg.det(flat[:, 1:] - flat[:, :1])
+        assert (found > 0.0).all() and found.sum() == pytest.approx(area, rel=1e-9)
+        assert (rasterise(mesh, 100, 100) >= 0).sum() == pytest.approx(area, abs=60.0)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ("v 0,5 0,5 0\n", "the line 'v 0,5 0,5 0', with decimal commas; accepted: numbers with decimal points"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3 9\n", "'f 1 2 3 9', with a vertex that is none of the 4"),
+        ("v 0 0 0\nv 9 9 0\nv 9 0 0\nv 0 9 0\nf 1 2 3 4\n", "'f 1 2 3 4', which cannot be cut .*triangulate"),
+    ],
+)
+def test_an_obj_that_cannot_be_read_as_triangles_is_refused_with_its_line(tmp_path, lines, said):
+    (tmp_path / "a.obj").write_text(lines)
+    with pytest.raises(InputError, match=said):
+        read_mesh(tmp_path / "a.obj", "mm")
 
 
 def test_three_sheets_that_share_an_edge_are_a_surface_like_any_other():
@@ -365,7 +478,9 @@ def test_a_ply_has_texture_coordinates_by_triangle_or_by_vertex(tmp_path, by):
     vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     if by == "vertex":
         vertices, index = corners.reshape(-1, 3), np.arange(3 * len(corners))
-    normals = unit(vertices - corners.mean(axis=(0, 1)))
+    normals = np.zeros_like(vertices)
+    np.add.at(normals, index.ravel(), np.repeat(facets_of(corners), 3, axis=0))
+    normals = unit(normals)
     stored = uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]
     of_vertex = ["s", "t"] if by == "vertex" else []
     header = ["ply", "format ascii 1.0", f"element vertex {len(vertices)}"]

@@ -376,7 +376,7 @@ def test_tiles_are_bit_identical_to_the_whole(tmp_path, definition):
         assert np.array_equal(parts[name], values), name
 
 
-@pytest.mark.parametrize("normals", [None, [0.6, 0.0, 0.8]], ids=["its own", "smooth"])
+@pytest.mark.parametrize("normals", [None, [0.08, 0.0, 0.9968]], ids=["its own", "smooth"])
 def test_what_is_no_texel_of_a_mesh_is_zero_and_a_smooth_normal_gives_the_angles(tmp_path, caplog, normals):
     """A square of which the texture's left half shows all; where the right half is, is no texel."""
     corners = np.array([[-20.0, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0]])[[[0, 1, 2], [0, 2, 3]]]

@@ -1,7 +1,7 @@
 """Placement of shapes in a world, and of an object on the table of the rig."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,12 +52,17 @@ def laid(shape: Shape, rotation_deg: Sequence[float]) -> Placement:
     """
     if not any(rotation_deg):
         return Placement(shape)
-    rotation = rotation_xyz(rotation_deg)
-    if shape.ball_mm is not None:
-        lowest_mm = -shape.ball_mm
-    else:
-        lowest_mm = float((shape.facetted(shape.reach_mm).vertices_mm @ rotation[2]).min())
-    return Placement(shape, rotation, np.array([0.0, 0.0, shape.table_height_mm - lowest_mm]))
+    turned = Placement(shape, rotation_xyz(rotation_deg))
+    return replace(turned, translation_mm=np.array([0.0, 0.0, shape.table_height_mm - _table_under_mm(turned)]))
+
+
+def _table_under_mm(lain: Placement) -> float:
+    """Return the height of the table's top under an object that lies so on it, mm."""
+    shape, height_mm = lain.shape, float(lain.translation_mm[2])
+    if shape.ball_mm is not None or shape.is_flat:
+        return height_mm + shape.table_height_mm
+    # A table that cuts through an object, which registration turns by a fraction of a degree, would hide a part of it.
+    return height_mm + float((shape.facetted(shape.reach_mm).vertices_mm @ lain.rotation[2]).min())
 
 
 def reaches(placements: Sequence[Placement]) -> np.ndarray:
@@ -79,11 +84,18 @@ def on_table(
     Shape 0 is the object, shape 1 the table, a square; it is absent for radius 0. ``rotation`` is that of the table in
     the rig, and ``rotation_deg`` that of the object on the table, see `laid`.
     """
+    return with_table(laid(shape, rotation_deg), rotation, table_radius_mm)
+
+
+def with_table(lain: Placement, rotation: np.ndarray, table_radius_mm: float) -> list[Placement]:
+    """Return the placements of `on_table` for an object that lies so in the frame of the table, its lowest point on it.
+
+    Under a flat object, the table's top lies below its middle by the thickness of flat objects.
+    """
     from irodori.geometry.shapes.plate import Plate
 
-    lain = laid(shape, rotation_deg)
-    placements = [Placement(shape, rotation @ lain.rotation, rotation @ lain.translation_mm)]
+    placements = [replace(lain, rotation=rotation @ lain.rotation, translation_mm=rotation @ lain.translation_mm)]
     if table_radius_mm > 0:
         top = Plate(2 * table_radius_mm, 2 * table_radius_mm)
-        placements.append(Placement(top, rotation, rotation @ np.array([0.0, 0.0, shape.table_height_mm])))
+        placements.append(Placement(top, rotation, rotation @ np.array([0.0, 0.0, _table_under_mm(lain)])))
     return placements

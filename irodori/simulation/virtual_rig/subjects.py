@@ -33,7 +33,7 @@ from irodori.geometry.rig_frame import (
     to_camera,
     to_light,
 )
-from irodori.geometry.shapes.placement import Placement, laid, on_table
+from irodori.geometry.shapes.placement import Placement, laid, with_table
 from irodori.light.omnidirectional import to_panorama
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
 from irodori.simulation.virtual_rig.classroom import light_on_chart, room_coefficients, source_spectra
@@ -106,10 +106,10 @@ def object_mosaic(
         ideal_from_seen=ideal_from_seen,
     )
     rotation_deg = placements[pose.placement - 2].rotation_deg if pose.placement > 1 else (0.0, 0.0, 0.0)
-    lies, *table = on_table(sample.shape, rotation, rig.table_radius_mm, rotation_deg)
+    lies = laid(sample.shape, rotation_deg)
     if faults.laid_off.enabled:
-        lies = _laid_off(laid(sample.shape, rotation_deg), rotation, faults.laid_off, rig.virtual.seed, pose.placement)
-    tracer = Tracer([lies, *table])
+        lies = _laid_off(lies, faults.laid_off, rig.virtual.seed, pose.placement)
+    tracer = Tracer(with_table(lies, rotation, rig.table_radius_mm))
     picture = expose_object(sample, tracer, view, band_weights)
     if markers is not None:
         height_mm = sample.shape.table_height_mm if markers.z_mm is None else markers.z_mm
@@ -119,15 +119,15 @@ def object_mosaic(
     return picture
 
 
-def _laid_off(lain: Placement, table: np.ndarray, off: LaidOff, seed: int, number: int) -> Placement:
-    """Return an object that does not lie exactly where it is said to; a further placement has errors of its own.
+def _laid_off(lain: Placement, off: LaidOff, seed: int, number: int) -> Placement:
+    """Return an object that does not lie exactly where it is said to, in the frame of the table.
+
+    A further placement has errors of its own.
 
     Parameters
     ----------
     lain : Placement
         As it is said to lie, in the frame of the table.
-    table : (3, 3) float
-        Rotation of the table.
     off : LaidOff
     seed : int
         Seed of the rig.
@@ -138,8 +138,7 @@ def _laid_off(lain: Placement, table: np.ndarray, off: LaidOff, seed: int, numbe
     if number > 1:
         rng = np.random.default_rng([seed, zlib.crc32(f"placement {number}".encode())])
         translation_mm, rotation_deg = translation_mm * rng.normal(size=3), off.turned_rms_deg * rng.normal(size=3)
-    turned = table @ rotation_xyz(rotation_deg)
-    return Placement(lain.shape, turned @ lain.rotation, table @ (lain.translation_mm + translation_mm))
+    return Placement(lain.shape, rotation_xyz(rotation_deg) @ lain.rotation, lain.translation_mm + translation_mm)
 
 
 class _Card(NamedTuple):
