@@ -14,7 +14,7 @@ _WHOLE = 0.5
 
 
 class LargestNumbers:
-    """How often the largest numbers of each channel occur, counted while a picture is read.
+    """Count of the largest numbers of each channel, made while a picture is read.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What tells a panorama of all directions from another picture that is twice as wide as high: how its borders join.
+"""Test by its borders whether a picture that is twice as wide as high shows all directions.
 
 Each pixel of the first row lies half a pixel from the zenith and is the neighbour of the one half a turn on; in the
 last row, around the nadir, it is the same. The first column is the neighbour of the last. In a photograph cut to this

@@ -238,7 +238,7 @@ def test_a_ball_that_is_out_of_round_is_told_by_what_no_form_of_gloss_predicts(t
     with caplog.at_level("WARNING"):
         choose_lobes([tmp_path / "seen.h5"], tmp_path / "lobes.h5", FitOptions(), N, K, provenance=PROVENANCE)
     model = chosen_model(tmp_path / "lobes.h5")
-    assert read_choice(tmp_path / "lobes.h5").misfit(**model) > 1.0 and "out of round" in caplog.text
+    assert read_choice(tmp_path / "lobes.h5").misfit(**model) > 1.0 and "the surface has another shape" in caplog.text
 
 
 @pytest.mark.parametrize(("beta", "mu"), [(2.0, 0.15), (6.0, 0.08)])
