@@ -14,6 +14,7 @@ import numpy as np
 from irodori.reflection.equation5 import angles_from_directions
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
+from irodori.reflection.registry import DEFAULT_LOBES
 
 #: Expected misfit of a photograph to the model, relative to its mean; independent readings that a photograph counts as.
 _MISFIT, _READINGS = 0.02, 100.0
@@ -106,7 +107,7 @@ def register_lamps(response, normal, view, weight, direction, *, error_deg: floa
     def model(lamps: np.ndarray, beta: float, mu: float) -> tuple[np.ndarray, np.ndarray]:
         """Return cosines of incidence and gloss, (T, J) each, for lamps of level 1."""
         angles = geometry_of(normal, view, lamps)
-        gloss = beta * evaluate("gaussian", mu, angles) * fresnel_array(np.cos(angles[..., 2]), n, k)
+        gloss = beta * evaluate(DEFAULT_LOBES[0], mu, angles) * fresnel_array(np.cos(angles[..., 2]), n, k)
         return np.maximum(np.cos(angles[..., 0]), 0.0), gloss
 
     def diffuse(cosine: np.ndarray, gloss: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -91,6 +91,19 @@ def test_errors_of_paints_under_two_lobes_cover_the_truth():
     assert (one < 1.0).mean() > 0.62 and (one < 2.0).mean() > 0.93
 
 
+@pytest.mark.heavy
+def test_the_jackknife_covers_the_truth_by_itself():
+    """Without an error of the level; with fixed weights of outliers and normal errors it had 0.57 and 0.88."""
+    options, z = replace(OPTIONS, level_error=0.0), []
+    for seed in range(100, 124):
+        seen, _, _ = sitting(seed)
+        for paint in (0, 1):
+            found = GlossSearch(readings(seen, halves() == paint), options).found
+            if found is not None:
+                z.append(np.abs(found.log_gloss - np.log(GLOSS[paint])) / np.sqrt(np.diag(found.error)))
+    assert len(z) > 24 and 0.62 < np.mean(np.less(z, 1.0)) < 0.75 and np.mean(np.less(z, 2.0)) > 0.93
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_gloss_that_varies_within_a_paint_is_told_as_far_as_the_texels_tell_it(seed):
     _, gloss, (_, paints, found) = found_in(seed, varying=0.1)
