@@ -10,7 +10,8 @@ import numpy as np
 from irodori.core.errors import InputError
 from irodori.core.file_kinds import IF_LINEAR, is_picture, kind_instead_of_raw
 from irodori.first_project.light_places import photograph_key, read_lamps
-from irodori.first_project.lights_command import in_counting_order, is_mask, same_size
+from irodori.first_project.lights_command import is_mask, same_size
+from irodori.first_project.photograph_order import in_counting_order
 from irodori.ingest.first_look import SetNumbers
 from irodori.ingest.mosaic import decode
 

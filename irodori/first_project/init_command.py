@@ -13,6 +13,7 @@ from irodori.config.definitions import load_definitions
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
 from irodori.first_project.light_places import lamp_of_poses, read_lamps
+from irodori.first_project.photograph_order import ORDERS
 from irodori.first_project.questions import (
     Question,
     answer,
@@ -47,6 +48,8 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
     parser.add_argument("--lights", help=lights)
     linear = "the photographs are TIFF or PNG pictures whose numbers go with the light, without a tone curve"
     parser.add_argument("--linear", action="store_true", help=linear)
+    order = "what tells the order of the photographs, if clock and file names contradict each other"
+    parser.add_argument("--order", choices=ORDERS, default="", help=order)
     parser.add_argument("--answers", help="YAML file of answers by the names that the questions have")
     asked = parser.parse_args(arguments)
     try:
@@ -69,12 +72,12 @@ def _write(asked: argparse.Namespace) -> int:
     name = _name(asked.name, place, ask)
     # Before the photographs are read, which takes minutes.
     refuse_existing_project(name, asked.into)
-    found, timed = photographs(place, asked.linear)
+    found, order = photographs(place, asked.linear, asked.order)
     recognised = recognise(found)
     if not any(one.role == "chart" for one in recognised):
         looked = f"no ColorChecker of 4 x 6 patches in {len(found)} photographs"
         raise InputError(place, "", looked, "one photograph or more of the whole chart, evenly lit")
-    print(f"name: {name}", _told(recognised, timed), sep="\n")
+    print(f"name: {name}", _told(recognised, order), sep="\n")
     answers = _answers(recognised, given, asked, ask)
     folder = place if place.is_dir() else place.parent
     scaffold = Scaffold(name, asked.into, folder, recognised, answers)
@@ -113,12 +116,11 @@ def _name(given: str | None, place: Path, ask: Callable[[str], str] | None) -> s
         return name
 
 
-def _told(recognised: list[Recognised], timed: bool) -> str:
-    """Return a text that describes the recognised photographs."""
+def _told(recognised: list[Recognised], order: str) -> str:
+    """Return a text that describes the recognised photographs, whose order is that of ``order``."""
     count = Counter((one.role, one.filter) for one in recognised)
     poses = 1 + max(one.pose for one in recognised)
     parts = [f"{number} {role}, filter {state or 'unknown'}" for (role, state), number in sorted(count.items())]
-    order = "the camera's clock" if timed else "their names, because not every file states its time"
     sure = {
         "chart": "chart: found, and its colours fit the known spectra",
         "white": "white: one even grey surface fills the frame",

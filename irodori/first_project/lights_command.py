@@ -1,7 +1,6 @@
 """The subcommand ``lights``: directions to lamps from their mirror images on a polished ball."""
 
 import argparse
-import re
 import sys
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 from irodori.config.capture_table import light_angles_deg
 from irodori.core.errors import InputError
 from irodori.first_project.mirror_highlights import brightness, lamp_direction, outline, write_light_places
+from irodori.first_project.photograph_order import in_counting_order
 from irodori.rectification.circle_search import Circle, circle_of_mask
 
 
@@ -61,11 +61,6 @@ def names_of(asked: argparse.Namespace, own: list[str]) -> list[str]:
         found = f"{len(own)} photographs of the ball and {len(listed)} names"
         raise InputError("--names", "", found, "one name for each photograph")
     return listed
-
-
-def in_counting_order(names: list[str]) -> list[str]:
-    """Sort names with numbers in them by the values of the numbers: a.2 before a.10."""
-    return sorted(names, key=lambda name: [int(p) if p.isdigit() else p.lower() for p in re.split(r"(\d+)", name)])
 
 
 def _write(asked: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Photographs of a folder, RAW files or linear pictures, with their metadata, in the order of their times."""
+"""Photographs of a folder, RAW files or linear pictures, with their metadata, in the order in which they were taken."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ import numpy as np
 from irodori.core.errors import InputError
 from irodori.core.file_kinds import IF_LINEAR, is_picture, kind_instead_of_raw
 from irodori.core.progress import track
+from irodori.first_project.photograph_order import in_order
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.plausibility import Look, look_at
 from irodori.ingest.tiff_tags import RATIONAL, read_tags
@@ -99,23 +100,32 @@ def raw_files(place, linear: bool = False) -> list[Path]:
     return raw
 
 
-def photographs(place, linear: bool = False) -> tuple[list[Photograph], bool]:
+def photographs(place, linear: bool = False, order: str = "") -> tuple[list[Photograph], str]:
     """Read all RAW files of a folder, or a single file; with ``linear``, TIFF and PNG pictures.
+
+    Parameters
+    ----------
+    place : path
+        A folder, or a single file.
+    linear : bool
+    order : str
+        See `irodori.first_project.photograph_order.in_order`.
 
     Returns
     -------
     list of Photograph
-        In the order of their times; by file name if any file states no time.
-    bool
-        Whether the order is that of the times.
+        In the order in which they were taken.
+    str
+        What the order is that of, as a phrase.
 
     Raises
     ------
     InputError
         If there is no photograph, one cannot be decoded, a RAW file states no exposure time, or the photographs are
-        from several cameras or have different sizes.
+        from several cameras or have different sizes; if the order cannot be told.
     """
-    found = list(_looked_at(raw_files(place, linear), linear))
+    files = raw_files(place, linear)
+    found = list(_looked_at(files, linear))
     first = found[0]
     for one in found[1:]:
         if one.look.camera != first.look.camera:
@@ -124,13 +134,9 @@ def photographs(place, linear: bool = False) -> tuple[list[Photograph], bool]:
         if one.look.size != first.look.size:
             told = "{} x {} pixels".format(*one.look.size) + ", and {} x {}".format(*first.look.size)
             raise InputError(one.path, "size", f"{told} in {first.path.name}", "photographs of one size in one folder")
-    return in_order(found)
-
-
-def in_order(found: list[Photograph]) -> tuple[list[Photograph], bool]:
-    """Sort photographs by time, or by name if any states no time; return them and whether they are sorted by time."""
-    timed = all(one.look.time for one in found)
-    return sorted(found, key=lambda one: (one.look.time if timed else "", one.path.name)), timed
+    paths, told = in_order({one.path: one.look.time for one in found}, order)
+    by_path = {one.path: one for one in found}
+    return [by_path[path] for path in paths], told
 
 
 def _looked_at(files: list[Path], linear: bool) -> Iterator[Photograph]:

@@ -12,6 +12,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from functools import cached_property
 
 import numpy as np
@@ -25,7 +26,7 @@ from irodori.ingest.tiff_tags import read_tags
 _SMALL_PX = 256
 #: Smallest width of the reduced pictures that are compared with all others of a set.
 _THUMBNAIL_PX = 64
-_MAKE, _MODEL, _TIME, _SERIAL, _LENS = 271, 272, 36867, 42033, 42036
+_MAKE, _MODEL, _TIME, _FRACTION, _SERIAL, _LENS = 271, 272, 36867, 37521, 42033, 42036
 #: Shares of the range from black to white: pixels above the first are lit, pixels at or above the second are clipped.
 LIT, CLIPPED = 0.02, 0.995
 #: Sharpness is measured at one in this number of positions, the steepest ones; the outline of a small object suffices.
@@ -257,15 +258,16 @@ def look_at(path, mosaic: Mosaic, *, thumbnail: bool = False) -> Look:
     """
     side = _side(mosaic, _THUMBNAIL_PX if thumbnail else _SMALL_PX)
     bands, clipped, dark = _reduced(mosaic, side)
-    texts = {tag.number: str(tag.values[0]) for tag in read_tags(path, (_MAKE, _MODEL, _TIME, _SERIAL, _LENS))}
+    texts = {
+        tag.number: str(tag.values[0]) for tag in read_tags(path, (_MAKE, _MODEL, _TIME, _FRACTION, _SERIAL, _LENS))
+    }
     named = dict.fromkeys(texts[key] for key in (_MAKE, _MODEL, _SERIAL) if texts.get(key))
-    day, _, clock = texts.get(_TIME, "").partition(" ")
     return Look(
         size=mosaic.size,
         pixels=hashlib.blake2b(mosaic.values[::_HASHED].tobytes(), digest_size=16).hexdigest(),
         camera=" ".join(named),
         lens=texts.get(_LENS, ""),
-        time=f"{day.replace(':', '-')}T{clock}" if clock else "",
+        time=_iso_time(texts.get(_TIME, ""), texts.get(_FRACTION, "")),
         clipped=float(clipped.mean()),
         dark=float(dark.mean()),
         sharpness=_sharpness(mosaic),
@@ -275,6 +277,20 @@ def look_at(path, mosaic: Mosaic, *, thumbnail: bool = False) -> Look:
         is_thumbnail=thumbnail,
         pattern="" if mosaic.linear else mosaic.pattern,
     )
+
+
+def _iso_time(stated: str, fraction: str) -> str:
+    """Return a time of Exif with the digits of its fraction of a second in ISO 8601; empty for one of no calendar.
+
+    A camera whose clock was never set, or has lost its battery, may state zeros or blanks.
+    """
+    day, _, clock = stated.partition(" ")
+    time = f"{day.replace(':', '-')}T{clock}" + (f".{fraction}" if fraction.isdecimal() else "")
+    try:
+        datetime.fromisoformat(time)
+    except ValueError:
+        return ""
+    return time if clock else ""
 
 
 def _side(mosaic: Mosaic, columns: int = _SMALL_PX) -> int:

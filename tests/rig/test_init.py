@@ -1,8 +1,8 @@
 """The command `irodori init`: a project of somebody's own photographs from the folder alone."""
 
-import random
 import re
 import shutil
+import struct
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +28,7 @@ from irodori.core.yaml_files import read_yaml
 from irodori.first_project import init_command
 from irodori.first_project.light_places import lamp_of_poses, read_lamps, read_light_places, write_lamps
 from irodori.first_project.questions import name_in_files, numbers, pose_of_references, positive, shape
-from irodori.first_project.raw_folder import Photograph, in_order, photographs
+from irodori.first_project.raw_folder import Photograph, photographs
 from irodori.first_project.recognition import recognise
 from irodori.geometry.rig_frame import to_light
 from irodori.geometry.shapes.shape import Shape
@@ -83,7 +83,7 @@ def recognised(looked):
 @pytest.fixture
 def seen(taken, looked, recognised, monkeypatch, tmp_path):
     """Return the folder in which the command runs; it need not look at the photographs again."""
-    monkeypatch.setattr(init_command, "photographs", lambda place, linear=False: (looked, True))
+    monkeypatch.setattr(init_command, "photographs", lambda place, linear, order: (looked, "the camera's clock"))
     monkeypatch.setattr(init_command, "recognise", lambda found: recognised)
     monkeypatch.chdir(tmp_path)
     return taken[0]
@@ -560,15 +560,6 @@ def test_a_lamp_that_was_moved_is_no_filter(no_chart):
     assert [(one.pose, one.filter) for one in found] == [(view, state) for view in range(3) for state in ("out", "in")]
 
 
-def test_the_clock_tells_the_order_and_names_do_where_one_is_silent():
-    shots = [patterned(f"{9 - n}.dng", 0.5, n, time=f"2026-05-04T10:15:{n:02d}") for n in range(6)]
-    mixed = random.Random(5).sample(shots, len(shots))
-    assert in_order(mixed) == (shots, True)
-    silent = [replace(mixed[0], look=replace(mixed[0].look, time="")), *mixed[1:]]
-    found, timed = in_order(silent)
-    assert not timed and [one.path.name for one in found] == sorted(one.path.name for one in shots)
-
-
 @pytest.mark.parametrize(
     ("files", "sentence"),
     [
@@ -586,6 +577,71 @@ def test_a_folder_without_photographs_is_one_sentence(tmp_path, capsys, monkeypa
     assert init(tmp_path / "raw") == 2
     said = capsys.readouterr().err
     assert sentence in said and said.count("\n") == 1 and not (tmp_path / "config").exists()
+
+
+def with_time(path, source, time: str, fraction: str = "") -> None:
+    """Write a DNG again with the time of its camera's clock, in a directory of tags before its own."""
+    content = source.read_bytes()
+    assert content[:4] == b"II*\0"
+    texts = [(36867, time.encode() + b"\0")] + ([(37521, fraction.encode() + b"\0")] if fraction else [])
+    at = len(content) + len(content) % 2
+    end = at + 2 + 12 * len(texts) + 4
+    entries, values = b"", b""
+    for tag, text in texts:
+        inline = len(text) <= 4
+        value = text.ljust(4, b"\0") if inline else struct.pack("<I", end + len(values))
+        entries += struct.pack("<HHI", tag, 2, len(text)) + value
+        values += b"" if inline else text
+    # The new directory is the last of the chain, so that the picture stays in the first.
+    chain = struct.unpack_from("<I", content, 4)[0]
+    while following := struct.unpack_from("<I", content, chain + 2 + 12 * struct.unpack_from("<H", content, chain)[0])[
+        0
+    ]:
+        chain = following
+    link = chain + 2 + 12 * struct.unpack_from("<H", content, chain)[0]
+    whole = bytearray(content.ljust(at, b"\0") + struct.pack("<H", len(texts)) + entries + bytes(4) + values)
+    struct.pack_into("<I", whole, link, at)
+    path.write_bytes(whole)
+
+
+def timed(folder, taken, *times: tuple[str, str, str]):
+    """Return a folder with copies of one photograph by names, each with a time and its fraction of a second."""
+    folder.mkdir()
+    for name, time, fraction in times:
+        with_time(folder / name, next(taken[0].glob("*.dng")), time, fraction)
+    return folder
+
+
+def test_photographs_of_one_second_are_in_the_order_of_its_fractions(taken, tmp_path):
+    second = "2026:10:25 02:50:00"
+    folder = timed(tmp_path / "raw", taken, ("b.dng", second, "05"), ("a.dng", second, "5"), ("c.dng", second, "47"))
+    found, order = photographs(folder)
+    assert [one.path.name for one in found] == ["b.dng", "c.dng", "a.dng"] and order == "the camera's clock"
+    assert found[0].look.time == "2026-10-25T02:50:00.05"
+
+
+def test_a_clock_of_zeros_is_no_time(taken, tmp_path):
+    zero = ("IMG_0003.dng", "0000:00:00 00:00:00", "00")
+    others = [(f"IMG_000{n}.dng", f"2026:10:25 02:50:0{n}", "") for n in (2, 4)]
+    found, order = photographs(timed(tmp_path / "raw", taken, zero, *others))
+    assert [one.path.stem for one in found] == ["IMG_0002", "IMG_0003", "IMG_0004"]
+    assert order == "their names, because not every file states its time"
+
+
+def test_a_clock_set_back_between_two_photographs_is_refused_before_anything_is_written(
+    taken, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    times = [("IMG_0001.dng", "2026:10:25 02:59:50", ""), ("IMG_0002.dng", "2026:10:25 02:00:10", "")]
+    assert init(timed(tmp_path / "raw", taken, *times)) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert "IMG_0002.dng: time: found 2026-10-25T02:00:10, before 2026-10-25T02:59:50 of IMG_0001.dng" in said
+    assert "--order names" in said and not (tmp_path / "config").exists()
+    for order, names in (("names", ["IMG_0001", "IMG_0002"]), ("clock", ["IMG_0002", "IMG_0001"])):
+        assert [one.path.stem for one in photographs(tmp_path / "raw", False, order)[0]] == names
+    # The command passes the statement on: what it misses then is the chart.
+    assert init(tmp_path / "raw", "--order", "names") == 2
+    assert "no ColorChecker" in capsys.readouterr().err
 
 
 def test_two_cameras_in_one_folder_are_refused(taken, tmp_path, capsys, monkeypatch):

@@ -95,6 +95,11 @@ def test_the_command_lists_the_photographs_of_the_object_in_counting_order(folde
     for number, lamp in enumerate(lamps(11)):
         assert apart_deg(places[f"plate_{number}"], lamp) < 1.0
     assert "light_azimuth_deg" in capsys.readouterr().out
+    # The object was photographed while the camera's numbers began again after 9999.
+    names = [f"IMG_{number:04d}.NEF" for number in (*range(1, 9), 9997, 9998, 9999)]
+    assert main(["lights", *folder, "--circle", *map(str, BALL), "--names", *names]) == 0
+    for name, lamp in zip([*names[-3:], *names[:-3]], lamps(11), strict=True):
+        assert apart_deg(read_light_places("lights.lp")[name[:-4].lower()], lamp) < 1.0
     assert main(["lights", *folder, "--circle", *map(str, BALL), "--into", "b.lp"]) == 0
     for number, lamp in enumerate(lamps(11)):
         assert apart_deg(read_light_places("b.lp")[f"chrome.{number}"], lamp) < 1.0

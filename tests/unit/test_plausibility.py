@@ -548,7 +548,11 @@ def test_body_lens_and_clock_are_those_of_the_files_tags(tmp_path):
     texts = {271: "Maker", 272: "Body", 36867: "2026:11:23 08:50:00", 42033: "0017", 42036: "f50"}
     for given, camera, lens, time in (
         (texts, "Maker Body 0017", "f50", "2026-11-23T08:50:00"),
+        (texts | {37521: "07"}, "Maker Body 0017", "f50", "2026-11-23T08:50:00.07"),
+        (texts | {37521: "  "}, "Maker Body 0017", "f50", "2026-11-23T08:50:00"),
         ({271: "Body", 272: "Body", 36867: "2026:11:23"}, "Body", "", ""),
+        ({271: "Body", 36867: "0000:00:00 00:00:00", 37521: "00"}, "Body", "", ""),
+        ({271: "Body", 36867: "    :  :     :  :  "}, "Body", "", ""),
     ):
         tags = [(number, "s", 0, text, True) for number, text in given.items()]
         tifffile.imwrite(path, picture.values, extratags=tags, metadata=None)
