@@ -6,6 +6,9 @@ appears at once, and a computer without a camera does not need the camera's libr
 
 import argparse
 import importlib
+import os
+import select
+import signal
 import sys
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -72,14 +75,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 after success.
+        0 after success; 141, as of programs that the signal SIGPIPE ends, if whoever read the output, such as `head`,
+        has gone.
 
     Raises
     ------
     SystemExit
         After ``--help`` and ``--version``, and with status 2 for arguments that are not accepted.
     """
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        try:
+            return _run(list(sys.argv[1:] if arguments is None else arguments))
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # The signal itself stays ignored: it would also end a session whose controller has gone, without its clean-up.
+        if not _is_unread(sys.stdout.fileno()):
+            raise
+        with open(os.devnull, "w") as nowhere:  # what is left of the output, when Python ends
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+
+
+def _is_unread(descriptor: int) -> bool:
+    """Return whether the reader of a pipe has gone."""
+    poll = select.poll()
+    poll.register(descriptor, 0)
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
+
+
+def _run(arguments: list[str]) -> int:
+    """Run a subcommand with its arguments and return its exit status."""
     if not arguments or arguments[0] not in SUBCOMMANDS:
         _parser().parse_args(arguments[:1])  # help, version or an error: it never returns
     name, *rest = arguments

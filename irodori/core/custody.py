@@ -555,6 +555,8 @@ def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> in
         for said in chain.broken():
             differs = True
             print(said)
+    except BrokenPipeError:  # nobody reads the output: `irodori.command_line` ends
+        raise
     except (InputError, OSError) as error:
         print(error)
         return 1

@@ -82,6 +82,8 @@ def main(arguments: list[str] | None = None, prog: str = "irodori crate") -> int
     try:
         with inside(asked.directory):
             print(write_crate(asked.configfile, output))
+    except BrokenPipeError:  # nobody reads the output: `irodori.command_line` ends
+        raise
     except (PlainError, OSError) as error:
         print(error)
         return 1

@@ -201,6 +201,8 @@ def main(arguments: list[str] | None = None, prog: str = "python -m irodori.expo
     except PlainError as error:
         print(error, file=sys.stderr)
         return 2
+    except BrokenPipeError:  # nobody reads the output: `irodori.command_line` ends
+        raise
     except OSError as error:
         print(f"{error.filename or given.output}: cannot be written: {error.strerror or error}", file=sys.stderr)
         return 2

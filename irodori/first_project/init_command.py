@@ -57,6 +57,8 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
+    except BrokenPipeError:  # nobody reads the output: `irodori.command_line` ends
+        raise
     except OSError as error:
         print(f"{error.filename or asked.into}: {error.strerror or error}", file=sys.stderr)
         return 2

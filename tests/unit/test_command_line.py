@@ -1,5 +1,6 @@
 """The command ``irodori``: its subcommands, and that its help loads nothing heavy."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import irodori
+from irodori import command_line
 from irodori.command_line import SUBCOMMANDS, main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -60,3 +62,34 @@ def test_a_subcommand_of_the_bench_gets_its_own_name_too(monkeypatch, capsys):
     assert "camera" in capsys.readouterr().out
     assert main(["plan", "no-such-object"]) == 1
     assert "no-such-object" in capsys.readouterr().err
+
+
+SPEAKING = """
+import importlib, sys
+from irodori.command_line import SUBCOMMANDS, main
+module = importlib.import_module(SUBCOMMANDS[sys.argv[1]].module)
+work = {"init": "_write", "crate": "write_crate", "export": "export_named", "verify": "Chain"}[sys.argv[1]]
+setattr(module, work, lambda *_: print("a line", flush=True))
+raise SystemExit(main())
+"""
+
+
+@pytest.mark.parametrize("words", [["init", "raw"], ["crate"], ["export", "jar", "--to", "gltf"], ["verify"]])
+def test_a_command_whose_output_nobody_reads_ends_quietly(words, tmp_path):
+    reader, writer = os.pipe()
+    os.close(reader)
+    command, environment = [sys.executable, "-c", SPEAKING, *words], os.environ | {"PYTHONPATH": str(ROOT)}
+    run = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=environment)
+    os.close(writer)
+    assert (run.returncode, run.stderr) == (141, "")
+
+
+def test_a_broken_pipe_of_another_program_is_an_error(monkeypatch):
+    def broken(arguments):
+        raise BrokenPipeError("the controller has gone")
+
+    monkeypatch.setattr(command_line, "_run", broken)
+    reader, writer = os.pipe()
+    with os.fdopen(reader), os.fdopen(writer, "w") as out, pytest.raises(BrokenPipeError, match="controller"):
+        monkeypatch.setattr(sys, "stdout", out)
+        main([])
