@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from irodori.core.confined_paths import confined
 from irodori.core.errors import InputError
 from irodori.core.file_kinds import IF_LINEAR, is_picture, kind_instead_of_raw
 from irodori.core.progress import track
@@ -70,7 +71,7 @@ def raw_files(place, linear: bool = False) -> list[Path]:
     Raises
     ------
     InputError
-        If the folder does not exist, or has no such file.
+        If the folder does not exist, or has no such file, or a link in it leads nowhere.
     """
     place = Path(place)
     if place.is_file():
@@ -79,8 +80,13 @@ def raw_files(place, linear: bool = False) -> list[Path]:
         found = sorted(
             file
             for file in place.iterdir()
-            if file.is_file() and not file.name.startswith(".") and file.suffix.lower() not in _BESIDE
+            if (file.is_file() or not file.exists())
+            and not file.name.startswith(".")
+            and file.suffix.lower() not in _BESIDE
         )
+        for file in found:
+            if not file.exists():
+                raise InputError(file, "", "a link to no file", "the photograph, or a link to it")
     else:
         raise InputError(place, "", "no such folder", f"a folder of {_ACCEPTED}, or one such file")
     if linear:
@@ -122,9 +128,12 @@ def photographs(place, linear: bool = False, order: str = "") -> tuple[list[Phot
     ------
     InputError
         If there is no photograph, one cannot be decoded, a RAW file states no exposure time, or the photographs are
-        from several cameras or have different sizes; if the order cannot be told.
+        from several cameras or have different sizes; if a file is a link out of the folder, which
+        the later commands do not follow; if the order cannot be told.
     """
     files = raw_files(place, linear)
+    for file in files:
+        confined(file.parent, file.name, file, "")
     found = list(_looked_at(files, linear))
     first = found[0]
     for one in found[1:]:

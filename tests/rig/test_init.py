@@ -644,6 +644,35 @@ def test_a_clock_set_back_between_two_photographs_is_refused_before_anything_is_
     assert "no ColorChecker" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("alone", [False, True])
+def test_links_out_of_the_folder_are_refused_before_anything_is_looked_at_or_written(
+    alone, taken, tmp_path, capsys, monkeypatch
+):
+    """Tables, and with them every later command, refuse such a file."""
+    monkeypatch.chdir(tmp_path)
+    Path("raw").mkdir()
+    link, target = Path("raw", "IMG_0001.dng"), next(taken[0].glob("*.dng"))
+    link.symlink_to(target)
+    assert init(link if alone else "raw", "--name", "plate") == 2
+    said = capsys.readouterr().err
+    assert said == (
+        f"{link}: found 'IMG_0001.dng', a link that leads out of raw to {target}; accepted: a file in raw itself, or "
+        "the folder where the files are.\n"
+    )
+    assert not Path("config").exists()
+
+
+def test_links_within_the_folder_and_of_the_folder_itself_are_followed(taken, tmp_path):
+    (tmp_path / "raw").mkdir()
+    shutil.copy(next(taken[0].glob("*.dng")), tmp_path / "raw" / "IMG_0001.dng")
+    (tmp_path / "raw" / "IMG_0002.dng").symlink_to("IMG_0001.dng")
+    (tmp_path / "link").symlink_to("raw")
+    assert [one.path.name for one in photographs(tmp_path / "link")[0]] == ["IMG_0001.dng", "IMG_0002.dng"]
+    (tmp_path / "raw" / "IMG_0003.dng").symlink_to("IMG_0004.dng")
+    with pytest.raises(InputError, match=r"IMG_0003\.dng: found a link to no file"):
+        photographs(tmp_path / "raw")
+
+
 def test_two_cameras_in_one_folder_are_refused(taken, tmp_path, capsys, monkeypatch):
     folder, truth = taken
     monkeypatch.chdir(tmp_path)
