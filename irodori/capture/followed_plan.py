@@ -12,6 +12,9 @@ from irodori.geometry.rig_frame import to_camera, to_light
 
 #: Largest angle of lamp and camera from the vertical in such a plan, degrees: beyond it the table is in the way.
 _LOWEST_DEG = 80.0
+#: Smallest angle between lamp and camera in such a plan, degrees, if the rig states none: a camera with its stand and a
+#: lamp, each some 15 cm wide, stand beside each other 0.9 m away.
+_CLEARANCE_DEG = 10.0
 #: Angles in the order in which a person sets them, as `irodori init` asks for them.
 _AXES = ("light_deg", "light_azimuth_deg", "camera_deg", "tilt_deg", "turn_deg")
 #: How each pose is photographed, by filter states; () if they are unknown.
@@ -23,12 +26,17 @@ _TIMES = {
 
 
 def by_hand(rig: Rig) -> Rig:
-    """Return a rig with the angles of lamp and camera limited to 80 degrees, as far as its own limits permit."""
+    """Return a rig as a person sets it up.
+
+    The angles of lamp and camera are limited to 80 degrees, as far as its own limits permit, and lamp and camera stand
+    ten degrees apart or more, unless the rig states another angle.
+    """
     limits = {
         axis: replace(limit, max=max(limit.min, min(limit.max, _LOWEST_DEG)))
         for axis, limit in (("light_deg", rig.limits.light_deg), ("camera_deg", rig.limits.camera_deg))
     }
-    return replace(rig, limits=replace(rig.limits, **limits))
+    clearance_deg = _CLEARANCE_DEG if rig.clearance_deg is None else rig.clearance_deg
+    return replace(rig, limits=replace(rig.limits, **limits), clearance_deg=clearance_deg)
 
 
 def followed(plan: Plan, rig: Rig, states: Collection[str] = ()) -> list[str]:

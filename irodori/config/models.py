@@ -2472,6 +2472,10 @@ class Rig(Definition):
     #: Half the side of the square table top under the object, in mm; 0 is no table.
     table_radius_mm: float = 0.0
 
+    #: Smallest angle between the directions from the object to lamp and camera in poses that `irodori plan` chooses, in
+    #: degrees; nearer, one of them stands in the other's way. Where absent 5, and 10 if a person sets them.
+    clearance_deg: float | None = None
+
     #: The lamp.
     light: RigLight
 

@@ -11,13 +11,14 @@ from sessions import definitions
 from test_check import CORNERS, SIZE, write
 
 from irodori.capture.followed_plan import by_hand, followed
-from irodori.capture.shot_planner.planner import plan_best
+from irodori.capture.shot_planner.planner import Planner, plan_best
 from irodori.command_line import main
 from irodori.config.definitions import load_one
 from irodori.config.models import Object, Rig
 from irodori.config.parts import PlannedObject
 from irodori.core.errors import InputError
 from irodori.first_project.questions import numbers
+from irodori.geometry.rig_frame import to_camera, to_light
 
 PLACE = r"(?:(\d+) mm to the (right|left)|straight)(?:, (\d+) mm (towards|away from) you)?, (\d+) mm (up|down)"
 
@@ -71,6 +72,19 @@ def test_the_places_of_the_list_are_the_poses_of_the_plan(definition):
     settings = {(p.light_deg, p.tilt_deg, p.turn_deg) for p in plan.poses}
     assert lines[0].startswith(f"8 poses: lamp and object are set {len(settings)} times")
     assert "twice, without the filter and with it" in lines[1]
+
+
+@pytest.mark.parametrize(
+    ("stated", "by_program", "by_person"), [({}, 5.0, 10.0), ({"clearance_deg": 25.0}, 25.0, 25.0)]
+)
+def test_the_camera_is_never_in_the_lamps_way(stated, by_program, by_person):
+    """A lamp behind the camera tells most of a sphere's gloss, if the camera does not stop its light."""
+    coarse = {"light_deg": 45.0, "light_azimuth_deg": 60.0, "camera_deg": 5.0, "tilt_deg": 45.0, "turn_deg": 180.0}
+    sphere, rig = made(Object | PlannedObject, SPHERE_OBJECT), made(Rig, SIDEWAYS | stated)
+    for used, least_deg in ((rig, by_program), (by_hand(rig), by_person)):
+        poses = Planner(sphere, used, coarse_deg=coarse).poses
+        apart_deg = [math.degrees(math.acos(min(1.0, to_light(pose) @ to_camera(pose)))) for pose in poses]
+        assert min(apart_deg) == pytest.approx(least_deg)
 
 
 def test_a_list_with_lamps_beside_the_plane_says_where_they_stand():

@@ -163,7 +163,7 @@ def test_a_plan_holds_only_poses_that_the_rig_can_take(light, camera, tilt, coun
         "tilt_deg": tilt,
         "turn_deg": {"min": 0.0, "max": 0.0, "step": 1.0},
     }
-    rig = RIG | {"limits": limits}
+    rig = RIG | {"limits": limits, "clearance_deg": clearance}
     coarse = {"light_deg": 10.0, "camera_deg": 5.0, "tilt_deg": 15.0, "turn_deg": 45.0}
     materials = MaterialRange(mu_rad=(0.1, 0.3))
     try:
@@ -172,7 +172,6 @@ def test_a_plan_holds_only_poses_that_the_rig_can_take(light, camera, tilt, coun
             made(Rig, rig),
             count,
             manual,
-            clearance_deg=clearance,
             coarse_deg=coarse,
             materials=materials,
         )

@@ -37,6 +37,8 @@ COARSE_DEG = {"light_deg": 5.0, "light_azimuth_deg": 45.0, "camera_deg": 2.0, "t
 SPHERE_COARSE_DEG = COARSE_DEG | {"light_deg": 15.0, "camera_deg": 10.0}
 #: The same where the lamp also stands beside the plane of the camera, which makes eight times as many candidates.
 SIDEWAYS_COARSE_DEG = SPHERE_COARSE_DEG | {"camera_deg": 20.0, "tilt_deg": 45.0}
+#: Smallest angle between lamp and camera, degrees, if the rig states none.
+_CLEARANCE_DEG = 5.0
 _SPHERE_TEXELS = 64
 _FLAT_MATERIALS, _SPHERE_MATERIALS = 40, 16
 _PRIOR_RELATIVE_ERROR = 1.0  # of each parameter before any photograph: known to a factor of e
@@ -211,8 +213,7 @@ def candidate_poses(limits: RigLimits, coarse_deg: Mapping[str, float], clearanc
     coarse_deg : dict
         Distance of the candidates along each axis of AXES that the rig has, degrees.
     clearance_deg : float
-        Smallest angle between the directions to the light and to the camera, degrees. A rig's definition does not have
-        the size of its camera.
+        Smallest angle between the directions to the light and to the camera, degrees.
 
     Raises
     ------
@@ -239,7 +240,7 @@ def candidate_poses(limits: RigLimits, coarse_deg: Mapping[str, float], clearanc
 
 
 def open_poses(
-    shape: Shape, limits: RigLimits, clearance_deg: float = 5.0, coarse_deg: Mapping | None = None
+    shape: Shape, limits: RigLimits, clearance_deg: float = _CLEARANCE_DEG, coarse_deg: Mapping | None = None
 ) -> list[Pose]:
     """Return the candidate poses for a shape, by default on a grid for its kind.
 
@@ -310,8 +311,6 @@ class Planner:
         By default `default_noise` of the rig.
     max_angle_deg : float
         ``rectify.max_angle_deg``: observations beyond this angle are not used, degrees.
-    clearance_deg : float
-        See `candidate_poses`, degrees.
     coarse_deg : dict, optional
         See `candidate_poses`; the time is proportional to the number of candidates.
     weighting : Weighting
@@ -331,13 +330,13 @@ class Planner:
         materials: MaterialRange | None = None,
         noise: ObservationNoise | None = None,
         max_angle_deg: float = 80.0,
-        clearance_deg: float = 5.0,
         coarse_deg: Mapping[str, float] | None = None,
         weighting: Weighting = WEIGHTING,
     ) -> None:
         self.subject = subject_of(definition, rig)
         self.max_manual = definition.plan.max_manual
         flat = self.subject.shape.is_flat
+        clearance_deg = _CLEARANCE_DEG if rig.clearance_deg is None else rig.clearance_deg
         poses = open_poses(self.subject.shape, rig.limits, clearance_deg, coarse_deg)
         if not poses:
             raise TooFewPoses(
@@ -407,8 +406,7 @@ def plan_best(
     max_manual : int, optional
         Largest number of different settings of light and tilt by hand; by default ``plan.max_manual``.
     **others
-        Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``clearance_deg``, ``coarse_deg``,
-        ``weighting``.
+        Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``coarse_deg``, ``weighting``.
 
     Returns
     -------
