@@ -369,10 +369,15 @@ def _name(path: Path) -> str:
     return str(path if folder is None else path.absolute().relative_to(folder.parent))
 
 
+def _is_intermediate(path: Path) -> bool:
+    """Return whether a file is of a kind that the workflow removes without `keep_intermediate`."""
+    in_folder = path.parent.name in _INTERMEDIATE and path.parent.parent.parent.name in (_RESULTS, *_SETS)
+    return in_folder and path.suffix == ".h5"
+
+
 def _may_be_removed(path: Path) -> bool:
-    """Return whether a missing file is of a kind that the workflow removes without `keep_intermediate`."""
-    is_intermediate = path.parent.name in _INTERMEDIATE and path.parent.parent.parent.name in (_RESULTS, *_SETS)
-    return is_intermediate and path.suffix == ".h5" and not path.is_file()
+    """Return whether a file is missing, and the workflow may have removed it."""
+    return _is_intermediate(path) and not path.is_file()
 
 
 class Chain:
@@ -396,12 +401,14 @@ class Chain:
         self._top = _results_folder(self.folder) or self.folder.absolute()
         self.accepted: list[Path] = []
         self.removed: set[Path] = set()
+        #: Intermediate files of other versions of their inputs, from which no result was made.
+        self.left_over: list[Path] = []
         self._seen: set[Path] = set()
         #: Files that are missing or damaged, or in another's place: what was made from them is not to blame.
         self._wrong: set[Path] = set()
 
     def __len__(self) -> int:
-        return len(self._seen)
+        return len(self._seen) - len(self.left_over)
 
     def _place(self, name: str) -> Path:
         """Return the path of a file that a record names, also if the folder ``results`` was moved."""
@@ -410,7 +417,11 @@ class Chain:
 
     def results(self) -> Iterator[Path]:
         """Yield the files that are results: those that have a record, and those that must have one."""
-        for path in sorted(self.folder.absolute().rglob("*")):
+        return self._results_in(self.folder.absolute())
+
+    @staticmethod
+    def _results_in(folder: Path) -> Iterator[Path]:
+        for path in sorted(folder.rglob("*")):
             if path.name.startswith("."):
                 result = path.with_name(path.name[1:].removesuffix(".sha256"))
                 if path.suffix == ".sha256" and result.is_file():
@@ -463,10 +474,40 @@ class Chain:
             waiting += [self._place(name) for name in record.inputs] if record else []
         return sorted(results), sorted(given)
 
+    @functools.cached_property
+    def _used(self) -> set[Path]:
+        """Intermediate files of the project from which other results were made, directly or not."""
+        waiting = [path for path in self._results_in(self._top) if not _is_intermediate(path)]
+        used: set[Path] = set()
+        while waiting:
+            record = _readable_record(waiting.pop())
+            behind = {self._place(name) for name in record.inputs} if record else set()
+            new = {file for file in behind - used if _is_intermediate(file)}
+            used |= new
+            waiting += new
+        return used
+
+    def _is_left_over(self, path: Path) -> bool:
+        """Return whether a file is an intermediate one in no use, and an input has changed or is left over itself.
+
+        Such is the linear picture of a pose that has another name now, or was taken out of the table.
+        """
+        record = _readable_record(path)
+        if record is None or not _is_intermediate(path) or path in self._used:
+            return False
+        behind = {name: self._place(name) for name in record.inputs}
+        return any(
+            (not _may_be_removed(file) and _present_sha256(file) != record.inputs[name]) or self._is_left_over(file)
+            for name, file in behind.items()
+        )
+
     def _broken_before(self, path: Path) -> Iterator[str]:
         if path in self._seen:
             return
         self._seen.add(path)
+        if self._is_left_over(path):
+            self.left_over.append(path)
+            return
         record = _readable_record(path)
         behind = {name: self._place(name) for name in record.inputs} if record else {}
         for file in behind.values():
@@ -538,7 +579,8 @@ def _present_sha256(path: Path) -> str | None:
 def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> int:
     """Compare every result with its recorded hash and with the files that it was made from, back to your own files.
 
-    Everything that differs is printed, one line each, and the exit status is 1.
+    Everything that differs is printed, one line each, and the exit status is 1. Files that are left over from other
+    photographs or poses, from which no result is made, are listed too and change no status.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("folder", nargs="?", help="the folder of results, or one in it")
@@ -555,6 +597,8 @@ def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> in
         for said in chain.broken():
             differs = True
             print(said)
+        for path in chain.left_over:
+            print(f"{path}: left over: its inputs have changed since, and no result was made from it; remove it")
     except BrokenPipeError:  # nobody reads the output: `irodori.command_line` ends
         raise
     except (InputError, OSError) as error:

@@ -224,6 +224,59 @@ def test_intermediate_files_that_were_removed_break_no_link_but_are_counted(proj
         Chain("results").made_from([Path(MATERIAL)])
 
 
+def linear(pose: str) -> str:
+    return f"results/jar/linear/{pose}.h5"
+
+
+@pytest.fixture
+def rerun(project):
+    """Return the project after a run in which a pose has another name than in the run before."""
+    for table, pose in (("file,exposure_s\n", "l0450-c0200"), ("file,exposure_s\na.dng,1\n", "l0440-c0200")):
+        (project / "jar.csv").write_text(table)
+        make(linear(pose), ["jar.csv"], alpha=0.4)
+        make("results/jar/observations/tile-000.h5", [linear(pose)], alpha=0.4)
+        make("results/jar/brdf.h5", ["jar.csv"], alpha=0.4)
+        make(MATERIAL, ["results/jar/brdf.h5", "results/jar/observations/tile-000.h5"], alpha=0.4)
+    make("results/lid/brdf.h5", ["jar.csv"], alpha=0.4)
+    make("results/lid/material.h5", ["results/lid/brdf.h5"], alpha=0.4)
+    picture = "results/scene/front.png"
+    write_record(picture, picture, hashes(MATERIAL, "results/lid/material.h5"))
+    return project
+
+
+@pytest.mark.parametrize("folder", ["results", "results/jar", "results/jar/linear"])
+@pytest.mark.parametrize("more", ["", "observations"])
+def test_what_a_renamed_pose_has_left_is_named_and_breaks_no_link(rerun, capsys, folder, more):
+    left = [linear("l0450-c0200")]
+    if more:  # and what was made from it, as of a tile that is no more
+        left.append("results/jar/observations/tile-001.h5")
+        make(left[1], left[:1], alpha=0.4)
+    status, said = verify(capsys, folder)
+    *lines, last = said.splitlines()
+    words = "left over: its inputs have changed since, and no result was made from it; remove it"
+    asked = [path for path in left if path.startswith(f"{folder}/")]
+    assert status == 0 and last.startswith("every link holds (")
+    assert lines == [f"{Path(path).absolute()}: {words}" for path in asked]
+    for path in left:
+        Path(path).unlink()
+    status, said = verify(capsys, folder)
+    assert status == 0 and said == last + "\n"
+
+
+def test_a_stale_intermediate_file_of_a_present_result_is_still_a_broken_link(rerun, capsys):
+    (rerun / "jar.csv").write_text("file,exposure_s\nb.dng,1\n")
+    status, said = verify(capsys)
+    assert status == 1 and f"{linear('l0440-c0200')}: found a result of jar.csv, which has changed since" in said
+    assert f"{linear('l0450-c0200')}: left over" in said
+
+
+def test_an_intermediate_file_that_no_result_was_made_from_yet_is_not_left_over(project, capsys):
+    make(linear("l0450-c0200"), ["jar.csv"], alpha=0.4)
+    assert verify(capsys) == (0, "every link holds (6 results)\n")
+    halve(linear("l0450-c0200"))
+    assert verify(capsys)[0] == 1
+
+
 def test_pictures_and_files_that_nobody_reads_must_have_a_record_too(project, capsys):
     beside("results/scene/front.png").unlink()
     status, said = verify(capsys)
