@@ -24,6 +24,8 @@ _HEADERS = (_HEADER, ",".join(_FIRST_NAMES) + "\n")
 _HASH_DIGITS = 64  # of a SHA-256 in hexadecimal
 #: Table of photographs that a changed plan no longer requires; their files are kept.
 RETIRED = "captures-retired.csv"
+#: File with the names of photographs after which the rig was not yet compared with its limit switches, one a line.
+UNCHECKED = "captures-unchecked.txt"
 
 
 class StorageError(DeviceError):
@@ -165,7 +167,7 @@ class Journal:
     def __init__(self, table, folder=None) -> None:
         self.table = Path(table)
         self.folder = self.table.parent if folder is None else Path(folder)
-        self.retired = self.table.with_name(RETIRED)
+        self.retired, self._unchecked = self.table.with_name(RETIRED), self.table.with_name(UNCHECKED)
         self.shots: dict[str, Shot] = {}
         self.sha256: dict[str, str] = {}
         self._unhashed: dict[str, Shot] = {}
@@ -351,6 +353,33 @@ class Journal:
                 out.flush()
                 os.fsync(out.fileno())
         self.shots[shot.file], self.sha256[shot.file] = shot, sha256
+
+    @property
+    def unchecked(self) -> list[str]:
+        """Photographs in the table after which no comparison with the limit switches has said that no step was lost.
+
+        Raises
+        ------
+        StorageError
+        """
+        if not self._unchecked.exists():
+            return []
+        with storing(self._unchecked):
+            marked = self._unchecked.read_text(encoding="utf-8", errors="replace").split("\n")
+        return [file for file in self.shots if file in marked]
+
+    def leave_unchecked(self, file: str) -> None:
+        """Mark a photograph as `unchecked`, before its line is appended; the mark outlasts the sitting."""
+        with storing(self._unchecked), open(self._unchecked, "a", encoding="utf-8") as out:
+            out.write(f"{file}\n")
+            out.flush()
+            os.fsync(out.fileno())
+
+    def checked(self) -> None:
+        """Remove the marks of all photographs: none is in doubt any more, or it was set aside."""
+        with storing(self._unchecked):
+            self._unchecked.unlink(missing_ok=True)
+            _sync_folder(self.table.parent)
 
     def drop(self, files: Iterable[str], why: str) -> None:
         """Rename the files of photographs and remove their lines, so that they are taken again.

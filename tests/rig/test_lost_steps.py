@@ -1,11 +1,14 @@
 """Lost steps: what the limit switches say of the controller's count, and what a session makes of it."""
 
+import json
 import re
+from contextlib import nullcontext
 
 import pytest
-from sessions import QuickCamera, assert_whole
+from sessions import MADE, QuickCamera, assert_whole, target
 from virtual_time import bench_of, opened, rig_of
 
+from irodori.capture import stage
 from irodori.capture.dialogue import Action, Dialogue
 from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
@@ -276,17 +279,87 @@ def test_steps_lost_twice_stop_the_sitting_with_the_photographs_in_doubt(tmp_pat
     assert_whole(tmp_path, PLANNED)
 
 
-def test_a_sitting_that_was_broken_off_is_held_against_the_switches_by_the_next(tmp_path, ready):
-    rig, bench = ready()
+def broken_off(folder, bench, rig, fault) -> None:
+    """A sitting that loses half a degree after its first photograph, and ends at its third."""
     camera = Slipping(bench, (1,))
-    camera.faults = [None, DeviceError("its battery is empty")]
-    with pytest.raises(DeviceError, match="battery"):
-        sitting(tmp_path, rig, camera)
-    with pytest.raises(PositionError, match=r"camera_deg stood -0\.5 .*delete those .* there are 10\.dng$"):
-        sitting(tmp_path, rig, QuickCamera())
-    (tmp_path / "10.dng").unlink()
-    assert sitting(tmp_path, rig, QuickCamera()).tally.taken == 3
+    camera.faults = [None, None, fault]
+    with pytest.raises(type(fault)):
+        sitting(folder, rig, camera)
+    assert len(read_captures(folder / "captures.csv", folder)) == 2
+
+
+def test_a_sitting_that_was_broken_off_is_held_against_the_switches_by_the_next(tmp_path, ready, caplog):
+    rig, bench = ready()
+    broken_off(tmp_path, bench, rig, DeviceError("its battery is empty"))
+    session = sitting(tmp_path, rig, QuickCamera())
+    assert session.position[0].lost_deg["camera_deg"] == pytest.approx(-0.5, abs=0.01)
+    assert re.search(r"camera_deg stood -0\.\d+ degrees off its count.* are in doubt: 10\.dng, 40\.dng; ", caplog.text)
+    assert session.tally.taken == 3 and session.tally.kept == 0
     assert_whole(tmp_path, PLANNED)
+    assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 2
+
+
+@pytest.mark.parametrize("end", ["alarm", "restart"])
+@pytest.mark.parametrize("reason", ["", "the arm was watched"])
+def test_photographs_before_the_rig_lost_its_place_are_in_doubt(tmp_path, ready, end, reason):
+    """A slip often ends in the alarm of a switch, and an Arduino restarts when its port is opened; both need homing."""
+
+    class Person(AutoOperator):
+        attended = True
+
+        def judge(self, doubt):
+            assert "no longer knows where it stood" in doubt and "10.dng, 40.dng" in doubt
+            return reason
+
+    rig, bench = ready()
+    broken_off(tmp_path, bench, rig, DeviceError("a switch was hit"))
+    if end == "alarm":
+        bench.machine.raise_alarm(1)
+    else:
+        bench.machine.power_up()
+        rig = opened(rig_of("grbl"), bench)
+    session = sitting(tmp_path, rig, QuickCamera(), Person(dict))
+    assert session.tally.taken == (1 if reason else 3) and session.tally.accepted == (2 if reason else 0)
+    kept = read_captures(tmp_path / "captures.csv", tmp_path)
+    assert [shot.taken.accepted for shot in kept] == [reason, reason, ""]
+    assert sitting(tmp_path, rig, QuickCamera()).tally.kept == 3
+
+
+def test_the_search_that_a_lost_line_prevented_is_made_before_the_session_is_complete(tmp_path, ready, monkeypatch):
+    rig, bench = ready()
+    _, aim = target(tmp_path)
+
+    def session(camera):
+        monkeypatch.setattr(stage, "_equipment", lambda *_: nullcontext((rig, camera, AutoOperator(dict))))
+        monkeypatch.setattr(stage, "_start_over_if_changed", lambda *_: None)
+        stage.photograph(PLANNED, aim, None, tmp_path / "session.json", MADE, owner="object plate")
+        return json.loads((tmp_path / "session.json").read_text())
+
+    def lost():
+        raise LinkError("the line is lost (hung up)")
+
+    with monkeypatch.context() as unplugged:
+        unplugged.setattr(rig, "recount", lost)
+        with pytest.raises(LinkError):
+            session(Slipping(bench, (1,)))
+    assert not (tmp_path / "session.json").exists()
+    assert len(read_captures(aim.table, aim.folder or tmp_path)) == 3
+    camera = QuickCamera()
+    record = session(camera)
+    assert len(camera.taken) == 3, "all were in doubt"
+    assert [round(check["lost_deg"]["camera_deg"], 1) for check in record["position"]] == [-0.5, 0.0]
+    again = QuickCamera()
+    session(again)
+    assert not again.taken
+
+
+def test_an_axis_that_was_moved_between_two_sittings_puts_no_photograph_in_doubt(tmp_path, ready, caplog):
+    rig, bench = ready()
+    sitting(tmp_path, rig, QuickCamera())
+    rig.move({"camera_deg": 50.0})
+    bench.machine.slip(1.0)
+    assert sitting(tmp_path, rig, QuickCamera()).tally.kept == 3
+    assert "moved by hand" in caplog.text
 
 
 def test_a_retake_of_a_photograph_that_is_set_aside_meanwhile_is_its_next_one(tmp_path, ready):
