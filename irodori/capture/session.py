@@ -30,6 +30,9 @@ from irodori.ingest.preview import preview_of
 _TRIES = 3
 #: Number of times that a doubtful photograph is taken if no person can be asked.
 _UNATTENDED_TRIES = 2
+#: Number of photographs, taken at places that motors moved to, after which a sitting looks for lost steps. The search
+#: takes about as long as homing; more photographs between two searches would mean more to take again.
+_PHOTOGRAPHS_PER_SEARCH = 50
 #: Cameras round what they write into their files.
 _TOLERANCE = 0.05
 _TEMPORARY = ".part-"
@@ -157,7 +160,8 @@ class Session:
     def run(self, planned: Sequence[Shot], label: str) -> Tally:
         """Take the missing photographs of a plan, in its order, after homing a rig with an unknown position.
 
-        At the end the positions of the rig's controller are compared with its limit switches.
+        After every fifty photographs, and at the end, the positions of the rig's controller are compared with its
+        limit switches.
 
         Raises
         ------
@@ -183,8 +187,10 @@ class Session:
         while missing:
             tries += 1
             self._series = self._recalled(planned, missing)
-            for shot in track(missing, f"capture {label}"):
+            for number, shot in enumerate(track(missing, f"capture {label}"), 1):
                 self._take_in_turn(shot, planned)
+                if number % _PHOTOGRAPHS_PER_SEARCH == 0:
+                    self._hold_against_switches(tries)
             if self._dialogue.watched:
                 # Otherwise the command would end before the person has seen the last photograph. Photographs that are
                 # taken again here are still checked for lost steps.
@@ -286,6 +292,8 @@ class Session:
             self.journal.checked()
             self.tally.accepted += len(files)
             return False
+        for file in files:
+            self._series.forget(self.journal.shots[file])
         own = len(self._own.intersection(files))
         self.tally.taken -= own
         self.tally.kept -= len(files) - own

@@ -270,6 +270,16 @@ def test_photographs_after_which_steps_are_missing_are_set_aside_and_taken_again
     assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 3 and session.tally.taken == 3
 
 
+def test_a_long_sitting_puts_only_the_photographs_since_the_last_search_in_doubt(tmp_path, ready, monkeypatch):
+    monkeypatch.setattr("irodori.capture.session._PHOTOGRAPHS_PER_SEARCH", 2)
+    rig, bench = ready()
+    session = sitting(tmp_path, rig, Slipping(bench, (3,)))
+    assert [check.photographs for check in session.position] == [2, 1, 1]
+    assert [round(check.lost_deg["camera_deg"], 1) for check in session.position] == [0.0, -0.5, 0.0]
+    assert_whole(tmp_path, PLANNED)
+    assert session.tally.taken == 3 and session.camera.taken == [shot.file for shot in (*PLANNED, PLANNED[2])]
+
+
 def test_steps_lost_twice_stop_the_sitting_with_the_photographs_in_doubt(tmp_path, ready):
     rig, bench = ready()
     with pytest.raises(PositionError, match=r"camera_deg stood -0\.5 .*10\.dng, 40\.dng, 70\.dng; they are set aside"):
