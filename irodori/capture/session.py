@@ -16,7 +16,14 @@ from pathlib import Path
 from irodori.capture.dialogue import Dialogue, RetakeLast, State
 from irodori.capture.journal import Journal, storing
 from irodori.capture.operator import HandSettings, Operator
-from irodori.capture.rig.devices import ANGLE_TOLERANCE_DEG, NOT_REPORTED, CameraDevice, DeviceError, RigDevice
+from irodori.capture.rig.devices import (
+    ANGLE_TOLERANCE_DEG,
+    NOT_REPORTED,
+    AlarmError,
+    CameraDevice,
+    DeviceError,
+    RigDevice,
+)
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import Shot, Taken
 from irodori.core.atomic_files import file_sha256
@@ -205,7 +212,7 @@ class Session:
         """Home a rig with an unknown position; check any other for steps lost since it was homed.
 
         Photographs of interrupted sittings, after which the rig was not compared with its limit switches, are in doubt
-        if it has lost steps, or can tell no more because it was homed or has restarted since.
+        if it has lost steps. If it can tell no more, because it has restarted since, they are kept, and named.
 
         Returns
         -------
@@ -220,8 +227,11 @@ class Session:
         if not rig.status().homed:
             LOGGER.info("%s: homing the rig", label)
             rig.home()
-            lost = "the rig no longer knows where it stood, so that lost steps cannot be looked for"
-            return bool(unchecked) and self._in_doubt(unchecked, lost, 1)
+            if unchecked:
+                found = "the rig lost its count of steps after %d photographs; whether it skipped any is not known: %s"
+                LOGGER.warning(found, len(unchecked), ", ".join(unchecked))
+                self.journal.lose_count()
+            return False
         if rig.cannot_recount or not any(motor_targets(shot, rig.axes) for shot in self.journal.shots.values()):
             return False
         if unchecked:
@@ -405,7 +415,13 @@ class Session:
         # Motors move first, so that nobody has a hand at the lens while the arm swings.
         targets = motor_targets(shot, motorised)
         if self.rig is not None and targets:
-            self.rig.move(targets)
+            try:
+                self.rig.move(targets)
+            except AlarmError as alarm:
+                # Between soft limits a switch closes, as a rule, because the axis is elsewhere than it was counted.
+                if unchecked := self.journal.unchecked:
+                    self._in_doubt(unchecked, f"{alarm}: steps may have been lost", 1)
+                raise
             if targets != self._stands:
                 self._stands, self._settled_at = targets, time.monotonic() + self._settle_s
         if self._hand.set(hand_settings(shot, motorised)):

@@ -224,6 +224,7 @@ def photograph(
             "camera": status,
             "drift": drift,
             "position": position,
+            "never_checked": journal.never_checked,
         }
         # Snakemake deletes its own record before each job; that of a session at a real rig is kept beside the table.
         for path in {kept_record, Path(record)}:

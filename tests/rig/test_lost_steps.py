@@ -309,30 +309,56 @@ def test_a_sitting_that_was_broken_off_is_held_against_the_switches_by_the_next(
     assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 2
 
 
-@pytest.mark.parametrize("end", ["alarm", "restart"])
 @pytest.mark.parametrize("reason", ["", "the arm was watched"])
-def test_photographs_before_the_rig_lost_its_place_are_in_doubt(tmp_path, ready, end, reason):
-    """A slip often ends in the alarm of a switch, and an Arduino restarts when its port is opened; both need homing."""
+def test_photographs_before_the_alarm_of_a_switch_are_in_doubt(tmp_path, ready, reason):
+    """An axis that has lost steps meets its switch inside its soft limits."""
 
     class Person(AutoOperator):
         attended = True
 
         def judge(self, doubt):
-            assert "no longer knows where it stood" in doubt and "10.dng, 40.dng" in doubt
+            assert "ALARM:1" in doubt and "10.dng, 40.dng" in doubt
             return reason
 
+    class Arriving(QuickCamera):
+        def capture(self, shot, path):
+            super().capture(shot, path)
+            if len(self.taken) == 2:
+                bench.on_the_way = meet
+
+    def meet(data):
+        if b"G1X" in data:
+            bench.on_the_way = bytes
+            bench.machine.raise_alarm(1)
+        return data
+
     rig, bench = ready()
-    broken_off(tmp_path, bench, rig, DeviceError("a switch was hit"))
-    if end == "alarm":
-        bench.machine.raise_alarm(1)
-    else:
-        bench.machine.power_up()
-        rig = opened(rig_of("grbl"), bench)
-    session = sitting(tmp_path, rig, QuickCamera(), Person(dict))
-    assert session.tally.taken == (1 if reason else 3) and session.tally.accepted == (2 if reason else 0)
-    kept = read_captures(tmp_path / "captures.csv", tmp_path)
-    assert [shot.taken.accepted for shot in kept] == [reason, reason, ""]
-    assert sitting(tmp_path, rig, QuickCamera()).tally.kept == 3
+    with pytest.raises(AlarmError):
+        sitting(tmp_path, rig, Arriving(), Person(dict))
+    kept = Journal(tmp_path / "captures.csv").shots.values()
+    assert [(shot.file, shot.taken.accepted) for shot in kept] == [(f, reason) for f in ("10.dng", "40.dng") if reason]
+    assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == (0 if reason else 2)
+    session = sitting(tmp_path, rig, QuickCamera())
+    assert session.tally.taken == (1 if reason else 3) and session.journal.never_checked == []
+    assert_whole(tmp_path, PLANNED)
+
+
+def test_photographs_before_a_restart_of_the_board_are_kept_and_named(tmp_path, ready, caplog):
+    """An Arduino restarts when its port is opened: a session that is killed or stopped goes on nevertheless."""
+    rig, bench = ready()
+    broken_off(tmp_path, bench, rig, DeviceError("its battery is empty"))
+    bench.machine.power_up()
+    session = sitting(tmp_path, opened(rig_of("grbl"), bench), QuickCamera())
+    assert session.tally.taken == 1 and session.tally.kept == 2
+    assert "whether it skipped any is not known: 10.dng, 40.dng" in caplog.text
+    assert [check.photographs for check in session.position] == [1]
+    assert session.journal.unchecked == [] and session.journal.never_checked == ["10.dng", "40.dng"]
+    caplog.clear()
+    # A photograph that is taken again is checked.
+    session.journal.drop(["10.dng"], "retaken")
+    session = sitting(tmp_path, rig, QuickCamera())
+    assert session.tally.taken == 1 and session.journal.never_checked == ["40.dng"]
+    assert "not known" not in caplog.text
 
 
 def test_the_search_that_a_lost_line_prevented_is_made_before_the_session_is_complete(tmp_path, ready, monkeypatch):
