@@ -11,7 +11,7 @@ from pathlib import Path
 
 from irodori.capture.rig.devices import DeviceError
 from irodori.config.capture_table import COLUMNS, EXTRA_COLUMNS, Shot, read_captures, shot_cells
-from irodori.core.atomic_files import file_sha256
+from irodori.core.atomic_files import file_sha256, written_whole
 from irodori.core.confined_paths import confined
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
@@ -24,6 +24,9 @@ _HEADERS = (_HEADER, ",".join(_FIRST_NAMES) + "\n")
 _HASH_DIGITS = 64  # of a SHA-256 in hexadecimal
 #: Table of photographs that a changed plan no longer requires; their files are kept.
 RETIRED = "captures-retired.csv"
+#: File with the names of photographs after which the rig was not compared with its limit switches, one a line, and the
+#: line that follows those for which it is too late.
+UNCHECKED, _COUNT_LOST = "captures-unchecked.txt", "(the rig lost its count of steps)"
 
 
 class StorageError(DeviceError):
@@ -165,7 +168,7 @@ class Journal:
     def __init__(self, table, folder=None) -> None:
         self.table = Path(table)
         self.folder = self.table.parent if folder is None else Path(folder)
-        self.retired = self.table.with_name(RETIRED)
+        self.retired, self._unchecked = self.table.with_name(RETIRED), self.table.with_name(UNCHECKED)
         self.shots: dict[str, Shot] = {}
         self.sha256: dict[str, str] = {}
         self._unhashed: dict[str, Shot] = {}
@@ -351,6 +354,60 @@ class Journal:
                 out.flush()
                 os.fsync(out.fileno())
         self.shots[shot.file], self.sha256[shot.file] = shot, sha256
+
+    @property
+    def unchecked(self) -> list[str]:
+        """Photographs after which the rig was not yet compared with its limit switches, but still can be.
+
+        Raises
+        ------
+        StorageError
+        """
+        return self._marked()[1]
+
+    @property
+    def never_checked(self) -> list[str]:
+        """Photographs after which the rig lost its count of steps before it was compared with its limit switches.
+
+        Raises
+        ------
+        StorageError
+        """
+        return self._marked()[0]
+
+    def _marked(self) -> tuple[list[str], list[str]]:
+        """Return the photographs before and after the last line that says that the count was lost."""
+        if not self._unchecked.exists():
+            return [], []
+        with storing(self._unchecked):
+            lines = self._unchecked.read_text(encoding="utf-8", errors="replace").split("\n")
+        end = max((number for number, line in enumerate(lines) if line == _COUNT_LOST), default=0)
+        before, after = set(lines[:end]), set(lines[end:])
+        return [file for file in self.shots if file in before - after], [file for file in self.shots if file in after]
+
+    def leave_unchecked(self, file: str) -> None:
+        """Mark a photograph as `unchecked`, before its line is appended; the mark outlasts the sitting."""
+        self._mark(file)
+
+    def lose_count(self) -> None:
+        """Turn all `unchecked` photographs into `never_checked` ones."""
+        self._mark(_COUNT_LOST)
+
+    def _mark(self, line: str) -> None:
+        with storing(self._unchecked), open(self._unchecked, "a", encoding="utf-8") as out:
+            out.write(f"{line}\n")
+            out.flush()
+            os.fsync(out.fileno())
+
+    def checked(self) -> None:
+        """Remove the marks of `unchecked` photographs: none is in doubt any more, or it was set aside."""
+        if never := self.never_checked:
+            with storing(self._unchecked), written_whole(self._unchecked) as temporary:
+                temporary.write_text("\n".join([*never, _COUNT_LOST, ""]), encoding="utf-8")
+        else:
+            with storing(self._unchecked):
+                self._unchecked.unlink(missing_ok=True)
+                _sync_folder(self.table.parent)
 
     def drop(self, files: Iterable[str], why: str) -> None:
         """Rename the files of photographs and remove their lines, so that they are taken again.

@@ -16,7 +16,14 @@ from pathlib import Path
 from irodori.capture.dialogue import Dialogue, RetakeLast, State
 from irodori.capture.journal import Journal, storing
 from irodori.capture.operator import HandSettings, Operator
-from irodori.capture.rig.devices import ANGLE_TOLERANCE_DEG, NOT_REPORTED, CameraDevice, DeviceError, RigDevice
+from irodori.capture.rig.devices import (
+    ANGLE_TOLERANCE_DEG,
+    NOT_REPORTED,
+    AlarmError,
+    CameraDevice,
+    DeviceError,
+    RigDevice,
+)
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import Shot, Taken
 from irodori.core.atomic_files import file_sha256
@@ -30,6 +37,9 @@ from irodori.ingest.preview import preview_of
 _TRIES = 3
 #: Number of times that a doubtful photograph is taken if no person can be asked.
 _UNATTENDED_TRIES = 2
+#: Number of photographs, taken at places that motors moved to, after which a sitting looks for lost steps. The search
+#: takes about as long as homing; more photographs between two searches would mean more to take again.
+_PHOTOGRAPHS_PER_SEARCH = 50
 #: Cameras round what they write into their files.
 _TOLERANCE = 0.05
 _TEMPORARY = ".part-"
@@ -144,6 +154,8 @@ class Session:
         self._series, self._body, self._without_outline = Series(()), "", ""
         #: How often a photograph was doubted since it was last found sound.
         self._doubted: Counter[str] = Counter()
+        #: Photographs that this sitting has taken.
+        self._own: set[str] = set()
         #: Results of this sitting's drift frames.
         self.drift: list[Drift] = []
         #: Comparisons with the rig's limit switches in this sitting.
@@ -155,7 +167,8 @@ class Session:
     def run(self, planned: Sequence[Shot], label: str) -> Tally:
         """Take the missing photographs of a plan, in its order, after homing a rig with an unknown position.
 
-        At the end the positions of the rig's controller are compared with its limit switches.
+        After every fifty photographs, and at the end, the positions of the rig's controller are compared with its
+        limit switches.
 
         Raises
         ------
@@ -174,54 +187,73 @@ class Session:
             # A plan beyond the rig's limits is refused before anything moves.
             for shot in planned:
                 self.rig.check(motor_targets(shot, self.rig.axes))
-            self._know_place(self.rig, label)
+            if self._know_place(self.rig, label):
+                missing = self.journal.missing(planned)
+                self.camera.prepare(missing)
         tries = 0
         while missing:
             tries += 1
             self._series = self._recalled(planned, missing)
-            for shot in track(missing, f"capture {label}"):
+            for number, shot in enumerate(track(missing, f"capture {label}"), 1):
                 self._take_in_turn(shot, planned)
+                if number % _PHOTOGRAPHS_PER_SEARCH == 0:
+                    self._hold_against_switches(tries)
             if self._dialogue.watched:
                 # Otherwise the command would end before the person has seen the last photograph. Photographs that are
                 # taken again here are still checked for lost steps.
                 self._take_in_turn(None, planned)
-            self._hold_against_switches(missing, tries)
+            self._hold_against_switches(tries)
             missing = self.journal.missing(planned)
         self.journal.finish(planned)
         self.tally.seconds = time.monotonic() - begun
         return self.tally
 
-    def _know_place(self, rig: RigDevice, label: str) -> None:
+    def _know_place(self, rig: RigDevice, label: str) -> bool:
         """Home a rig with an unknown position; check any other for steps lost since it was homed.
+
+        Photographs of interrupted sittings, after which the rig was not compared with its limit switches, are in doubt
+        if it has lost steps. If it can tell no more, because it has restarted since, they are kept, and named.
+
+        Returns
+        -------
+        bool
+            Whether photographs were set aside.
 
         Raises
         ------
-        PositionError
-            If the rig has lost steps, perhaps during an interrupted sitting. It has been homed by then, so that the
-            next sitting raises no error.
         DeviceError
         """
+        unchecked = self.journal.unchecked
         if not rig.status().homed:
             LOGGER.info("%s: homing the rig", label)
             rig.home()
-            return
-        kept = [shot.file for shot in self.journal.shots.values() if motor_targets(shot, rig.axes)]
-        if not kept or rig.cannot_recount:
-            return
+            if unchecked:
+                found = "the rig lost its count of steps after %d photographs; whether it skipped any is not known: %s"
+                LOGGER.warning(found, len(unchecked), ", ".join(unchecked))
+                self.journal.lose_count()
+            return False
+        if rig.cannot_recount or not any(motor_targets(shot, rig.axes) for shot in self.journal.shots.values()):
+            return False
+        if unchecked:
+            return self._hold_against_switches(1)
         check = PositionCheck(0, rig.recount())
         self.position.append(check)
         if off := self._off(rig, check):
-            found = f"{off}: since it was homed, the rig has lost steps or was moved by hand"
-            todo = "delete those that were taken meanwhile and start again; there are"
-            raise PositionError(f"{found}; it is homed now: {todo} {', '.join(kept)}")
+            LOGGER.warning("%s: the rig was moved by hand, or has lost steps between two sittings; it is homed", off)
+        return False
 
     @staticmethod
     def _off(rig: RigDevice, check: PositionCheck) -> str:
         """Return a phrase that names the axes with a deviation of more than a step; empty if there are none."""
         return check.beyond({name: axis.step_deg for name, axis in rig.axes.items()})
 
-    def _hold_against_switches(self, taken: Sequence[Shot], times: int) -> None:
-        """Check whether the rig has lost steps; if so, set the photographs aside, unless a person keeps them.
+    def _hold_against_switches(self, times: int) -> bool:
+        """Check whether the rig has lost steps since photographs were taken; if so, see `_in_doubt`.
+
+        Returns
+        -------
+        bool
+            Whether photographs were set aside.
 
         Raises
         ------
@@ -231,34 +263,56 @@ class Session:
             For a fault of the rig, or if the person stops.
         """
         if self.rig is None:
-            return
-        placed = [shot.file for shot in taken if motor_targets(shot, self.rig.axes)]
-        if not placed:
-            return
+            return False
         if self.rig.cannot_recount:
             LOGGER.info("lost steps are not looked for: %s", self.rig.cannot_recount)
-            return
+            return False
+        placed = self.journal.unchecked
+        if not placed:
+            return False
         check = PositionCheck(len(placed), self.rig.recount())
         self.position.append(check)
         self._stands = {}
         LOGGER.info("%s", check)
-        if not (off := self._off(self.rig, check)):
-            return
-        self.tally.doubted += len(placed)
-        found = f"{off}: steps were lost, and {len(placed)} photographs since the rig was homed are in doubt: "
-        found += ", ".join(placed)
+        if off := self._off(self.rig, check):
+            return self._in_doubt(placed, f"{off}: steps were lost", times)
+        self.journal.checked()
+        return False
+
+    def _in_doubt(self, files: Sequence[str], why: str, times: int) -> bool:
+        """Set photographs aside that may show other poses than their names state, unless a person keeps them.
+
+        Returns
+        -------
+        bool
+            Whether they were set aside.
+
+        Raises
+        ------
+        PositionError
+            If no person can be asked and the photographs were already taken again.
+        """
+        self.tally.doubted += len(files)
+        found = f"{why}, and {len(files)} photographs since the rig was homed are in doubt: {', '.join(files)}"
         reason = ""
         if self._hand.operator.attended:
             reason = " ".join(self._hand.operator.judge(f"{self.journal.table}: {found}").split())
         if reason:
-            self.journal.accept(placed, reason)
-            self.tally.accepted += len(placed)
-            return
-        self.journal.drop(placed, "doubtful")
-        self.tally.taken -= len(placed)
+            self.journal.accept(files, reason)
+            self.journal.checked()
+            self.tally.accepted += len(files)
+            return False
+        for file in files:
+            self._series.forget(self.journal.shots[file])
+        own = len(self._own.intersection(files))
+        self.tally.taken -= own
+        self.tally.kept -= len(files) - own
+        self.journal.drop(files, "doubtful")
+        self.journal.checked()
         if not self._hand.operator.attended and times >= _UNATTENDED_TRIES:
             raise PositionError(f"{found}; they are set aside: look at speed, current and friction, and start again")
         LOGGER.warning("%s; they are set aside, and taken once more", found)
+        return True
 
     def _take_in_turn(self, shot: Shot | None, planned: Sequence[Shot]) -> None:
         """Take a photograph, or end the session if it is None; first retake photographs if the person asks for it.
@@ -359,8 +413,15 @@ class Session:
     def _take(self, shot: Shot) -> None:
         motorised = self.rig.axes if self.rig is not None else {}
         # Motors move first, so that nobody has a hand at the lens while the arm swings.
-        if self.rig is not None and (targets := motor_targets(shot, motorised)):
-            self.rig.move(targets)
+        targets = motor_targets(shot, motorised)
+        if self.rig is not None and targets:
+            try:
+                self.rig.move(targets)
+            except AlarmError as alarm:
+                # Between soft limits a switch closes, as a rule, because the axis is elsewhere than it was counted.
+                if unchecked := self.journal.unchecked:
+                    self._in_doubt(unchecked, f"{alarm}: steps may have been lost", 1)
+                raise
             if targets != self._stands:
                 self._stands, self._settled_at = targets, time.monotonic() + self._settle_s
         if self._hand.set(hand_settings(shot, motorised)):
@@ -379,7 +440,10 @@ class Session:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
+        if self.rig is not None and targets and not self.rig.cannot_recount:
+            self.journal.leave_unchecked(shot.file)
         self.journal.append(replace(shot, taken=taken), digest)
+        self._own.add(shot.file)
         self.tally.taken += 1
 
     def _photograph(self, shot: Shot, path: Path, temporary: Path) -> tuple[Taken, str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from irodori.capture.camera.gphoto_camera import RAW_SUFFIXES, GphotoCamera
 from irodori.capture.dialogue import Dialogue
-from irodori.capture.journal import RETIRED, Journal, claimed, storing
+from irodori.capture.journal import RETIRED, UNCHECKED, Journal, claimed, storing
 from irodori.capture.operator import AutoOperator, Operator, Step, make_operator
 from irodori.capture.rig.connect import open_rig, true_position_deg
 from irodori.capture.rig.devices import Axis, CameraDevice, RigDevice
@@ -152,7 +152,7 @@ def photograph(
 ) -> dict[str, str]:
     """Hold a session, or continue one, and write its record.
 
-    If no photograph is missing, no device is opened and nothing moves.
+    If no photograph is missing, and lost steps were looked for after each, no device is opened and nothing moves.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def photograph(
         missing = journal.missing(planned)
         needs = target.estimate(missing)
         LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
-        if missing:
+        if missing or journal.unchecked:
             with _equipment(target, planned, subject, on_rig, dialogue) as (rig, camera, operator):
                 session = Session(
                     camera,
@@ -224,6 +224,7 @@ def photograph(
             "camera": status,
             "drift": drift,
             "position": position,
+            "never_checked": journal.never_checked,
         }
         # Snakemake deletes its own record before each job; that of a session at a real rig is kept beside the table.
         for path in {kept_record, Path(record)}:
@@ -250,6 +251,7 @@ def _start_over_if_changed(table: Path, record: Path, provenance: Provenance) ->
             table,
             record,
             table.with_name(RETIRED),
+            table.with_name(UNCHECKED),
             *table.parent.glob(f"*{VirtualCamera.suffix}"),
         ):
             path.unlink(missing_ok=True)

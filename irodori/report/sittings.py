@@ -16,6 +16,8 @@ class Sitting:
         Name of the object or camera.
     photographs : int
         Number of photographs covered by checks of the rig's position against its limit switches.
+    never_checked : int
+        Number of photographs after which the rig lost its count of steps before such a check.
     lost_deg : dict
         Axis -> largest difference between true and counted position, degrees, with its sign.
     light, shift_px : float or None
@@ -25,6 +27,7 @@ class Sitting:
 
     name: str
     photographs: int
+    never_checked: int
     lost_deg: dict[str, float]
     light: float | None
     shift_px: float | None
@@ -42,12 +45,13 @@ def sittings(records: Sequence) -> list[Sitting]:
     for path in map(Path, records):
         record = json.loads(path.read_text(encoding="utf-8"))
         checks, drift = record.get("position", []), record["drift"]  # records of old versions hold no position
-        if not checks and not drift:
+        never = len(record.get("never_checked", []))
+        if not checks and not drift and not never:
             continue
         axes = dict.fromkeys(name for check in checks for name in check["lost_deg"])
         lost = {name: max((check["lost_deg"].get(name, 0.0) for check in checks), key=abs) for name in axes}
         light = max((frame["light"] for frame in drift), key=lambda ratio: abs(ratio - 1.0), default=None)
         shift = max((frame["shift_px"] for frame in drift if frame["shift_px"] is not None), default=None)
         count = sum(check["photographs"] for check in checks)
-        found.append(Sitting(path.parents[1].name, count, lost, light, shift))
+        found.append(Sitting(path.parents[1].name, count, never, lost, light, shift))
     return found

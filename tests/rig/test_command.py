@@ -261,7 +261,10 @@ def test_capture_resumes_with_what_is_missing(capsys, monkeypatch):
     _, err = run(capsys, "capture", "tile-plate")
     assert any("5 of 8 photographs to take" in line for line in err)
     assert any("taken 5, kept 3" in line for line in err)
+    # The simulated controller starts anew with the command.
+    assert any("lost its count of steps after 3 photographs" in line for line in err)
     folder = Path("results/rig/bench/tile-plate")
+    assert len(json.loads((folder / "captures.json").read_text())["never_checked"]) == 3
     assert_whole(folder, read_captures(folder / "captures.csv"))
 
 

@@ -1,11 +1,14 @@
 """Lost steps: what the limit switches say of the controller's count, and what a session makes of it."""
 
+import json
 import re
+from contextlib import nullcontext
 
 import pytest
-from sessions import QuickCamera, assert_whole
+from sessions import MADE, QuickCamera, assert_whole, target
 from virtual_time import bench_of, opened, rig_of
 
+from irodori.capture import stage
 from irodori.capture.dialogue import Action, Dialogue
 from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
@@ -267,6 +270,16 @@ def test_photographs_after_which_steps_are_missing_are_set_aside_and_taken_again
     assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 3 and session.tally.taken == 3
 
 
+def test_a_long_sitting_puts_only_the_photographs_since_the_last_search_in_doubt(tmp_path, ready, monkeypatch):
+    monkeypatch.setattr("irodori.capture.session._PHOTOGRAPHS_PER_SEARCH", 2)
+    rig, bench = ready()
+    session = sitting(tmp_path, rig, Slipping(bench, (3,)))
+    assert [check.photographs for check in session.position] == [2, 1, 1]
+    assert [round(check.lost_deg["camera_deg"], 1) for check in session.position] == [0.0, -0.5, 0.0]
+    assert_whole(tmp_path, PLANNED)
+    assert session.tally.taken == 3 and session.camera.taken == [shot.file for shot in (*PLANNED, PLANNED[2])]
+
+
 def test_steps_lost_twice_stop_the_sitting_with_the_photographs_in_doubt(tmp_path, ready):
     rig, bench = ready()
     with pytest.raises(PositionError, match=r"camera_deg stood -0\.5 .*10\.dng, 40\.dng, 70\.dng; they are set aside"):
@@ -276,17 +289,113 @@ def test_steps_lost_twice_stop_the_sitting_with_the_photographs_in_doubt(tmp_pat
     assert_whole(tmp_path, PLANNED)
 
 
-def test_a_sitting_that_was_broken_off_is_held_against_the_switches_by_the_next(tmp_path, ready):
-    rig, bench = ready()
+def broken_off(folder, bench, rig, fault) -> None:
+    """A sitting that loses half a degree after its first photograph, and ends at its third."""
     camera = Slipping(bench, (1,))
-    camera.faults = [None, DeviceError("its battery is empty")]
-    with pytest.raises(DeviceError, match="battery"):
-        sitting(tmp_path, rig, camera)
-    with pytest.raises(PositionError, match=r"camera_deg stood -0\.5 .*delete those .* there are 10\.dng$"):
-        sitting(tmp_path, rig, QuickCamera())
-    (tmp_path / "10.dng").unlink()
-    assert sitting(tmp_path, rig, QuickCamera()).tally.taken == 3
+    camera.faults = [None, None, fault]
+    with pytest.raises(type(fault)):
+        sitting(folder, rig, camera)
+    assert len(read_captures(folder / "captures.csv", folder)) == 2
+
+
+def test_a_sitting_that_was_broken_off_is_held_against_the_switches_by_the_next(tmp_path, ready, caplog):
+    rig, bench = ready()
+    broken_off(tmp_path, bench, rig, DeviceError("its battery is empty"))
+    session = sitting(tmp_path, rig, QuickCamera())
+    assert session.position[0].lost_deg["camera_deg"] == pytest.approx(-0.5, abs=0.01)
+    assert re.search(r"camera_deg stood -0\.\d+ degrees off its count.* are in doubt: 10\.dng, 40\.dng; ", caplog.text)
+    assert session.tally.taken == 3 and session.tally.kept == 0
     assert_whole(tmp_path, PLANNED)
+    assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 2
+
+
+@pytest.mark.parametrize("reason", ["", "the arm was watched"])
+def test_photographs_before_the_alarm_of_a_switch_are_in_doubt(tmp_path, ready, reason):
+    """An axis that has lost steps meets its switch inside its soft limits."""
+
+    class Person(AutoOperator):
+        attended = True
+
+        def judge(self, doubt):
+            assert "ALARM:1" in doubt and "10.dng, 40.dng" in doubt
+            return reason
+
+    class Arriving(QuickCamera):
+        def capture(self, shot, path):
+            super().capture(shot, path)
+            if len(self.taken) == 2:
+                bench.on_the_way = meet
+
+    def meet(data):
+        if b"G1X" in data:
+            bench.on_the_way = bytes
+            bench.machine.raise_alarm(1)
+        return data
+
+    rig, bench = ready()
+    with pytest.raises(AlarmError):
+        sitting(tmp_path, rig, Arriving(), Person(dict))
+    kept = Journal(tmp_path / "captures.csv").shots.values()
+    assert [(shot.file, shot.taken.accepted) for shot in kept] == [(f, reason) for f in ("10.dng", "40.dng") if reason]
+    assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == (0 if reason else 2)
+    session = sitting(tmp_path, rig, QuickCamera())
+    assert session.tally.taken == (1 if reason else 3) and session.journal.never_checked == []
+    assert_whole(tmp_path, PLANNED)
+
+
+def test_photographs_before_a_restart_of_the_board_are_kept_and_named(tmp_path, ready, caplog):
+    """An Arduino restarts when its port is opened: a session that is killed or stopped goes on nevertheless."""
+    rig, bench = ready()
+    broken_off(tmp_path, bench, rig, DeviceError("its battery is empty"))
+    bench.machine.power_up()
+    session = sitting(tmp_path, opened(rig_of("grbl"), bench), QuickCamera())
+    assert session.tally.taken == 1 and session.tally.kept == 2
+    assert "whether it skipped any is not known: 10.dng, 40.dng" in caplog.text
+    assert [check.photographs for check in session.position] == [1]
+    assert session.journal.unchecked == [] and session.journal.never_checked == ["10.dng", "40.dng"]
+    caplog.clear()
+    # A photograph that is taken again is checked.
+    session.journal.drop(["10.dng"], "retaken")
+    session = sitting(tmp_path, rig, QuickCamera())
+    assert session.tally.taken == 1 and session.journal.never_checked == ["40.dng"]
+    assert "not known" not in caplog.text
+
+
+def test_the_search_that_a_lost_line_prevented_is_made_before_the_session_is_complete(tmp_path, ready, monkeypatch):
+    rig, bench = ready()
+    _, aim = target(tmp_path)
+
+    def session(camera):
+        monkeypatch.setattr(stage, "_equipment", lambda *_: nullcontext((rig, camera, AutoOperator(dict))))
+        monkeypatch.setattr(stage, "_start_over_if_changed", lambda *_: None)
+        stage.photograph(PLANNED, aim, None, tmp_path / "session.json", MADE, owner="object plate")
+        return json.loads((tmp_path / "session.json").read_text())
+
+    def lost():
+        raise LinkError("the line is lost (hung up)")
+
+    with monkeypatch.context() as unplugged:
+        unplugged.setattr(rig, "recount", lost)
+        with pytest.raises(LinkError):
+            session(Slipping(bench, (1,)))
+    assert not (tmp_path / "session.json").exists()
+    assert len(read_captures(aim.table, aim.folder or tmp_path)) == 3
+    camera = QuickCamera()
+    record = session(camera)
+    assert len(camera.taken) == 3, "all were in doubt"
+    assert [round(check["lost_deg"]["camera_deg"], 1) for check in record["position"]] == [-0.5, 0.0]
+    again = QuickCamera()
+    session(again)
+    assert not again.taken
+
+
+def test_an_axis_that_was_moved_between_two_sittings_puts_no_photograph_in_doubt(tmp_path, ready, caplog):
+    rig, bench = ready()
+    sitting(tmp_path, rig, QuickCamera())
+    rig.move({"camera_deg": 50.0})
+    bench.machine.slip(1.0)
+    assert sitting(tmp_path, rig, QuickCamera()).tally.kept == 3
+    assert "moved by hand" in caplog.text
 
 
 def test_a_retake_of_a_photograph_that_is_set_aside_meanwhile_is_its_next_one(tmp_path, ready):
