@@ -333,7 +333,9 @@ def problem_of(
 
 def _most_beta(name: str, nodes: np.ndarray, n: float, k: float) -> np.ndarray:
     """Return β at nodes of log μ with which a lobe reflects, of light along the normal, as much as a smooth surface."""
-    return fresnel_array(np.ones(1), n, k)[0] / gloss_albedo(name, np.exp(nodes), 1.0, n, k)[:, 0, 0]
+    albedo = gloss_albedo(name, np.exp(nodes), 1.0, n, k)[:, 0, 0]
+    # An index of 1 reflects nothing.
+    return np.divide(fresnel_array(np.ones(1), n, k)[0], albedo, out=np.zeros_like(albedo), where=albedo > 0.0)
 
 
 def fit(
