@@ -79,6 +79,11 @@ MISTAKES = (
         "eye behind an endless plane", DEFINITIONS, WARNED, ": the eye is behind", _SCENES,
         (f"{_CHECK}::test_what_an_endless_plane_hides_is_named",),
     ),
+    Mistake(
+        "flat object photographed from one set of angles, or only far from the mirror direction", DEFINITIONS, WARNED,
+        "with angles that tell gloss from colour", "irodori/check/angles.py",
+        (f"{_CHECK}::test_photographs_of_one_set_of_angles_are_said_to_leave_gloss_open",),
+    ),
     # What the table of photographs says.
     Mistake(
         "angles in radians, with three decimals or more", TABLE, REFUSED, "in radians", _UNITS,

@@ -4,6 +4,7 @@ import argparse
 import sys
 from itertools import chain
 
+from irodori.check.angles import of_object
 from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographCheck
 from irodori.check.scenes import of_scene
@@ -44,7 +45,8 @@ def _check(files: list[str]) -> int:
         return 1
     photographs, errors, warnings = PhotographCheck(loaded), 0, 0
     scenes = (finding for name in loaded.scenes for finding in of_scene(loaded, name))
-    for finding in chain(scenes, photographs.findings()):
+    angles = (finding for name in loaded.objects for finding in of_object(loaded, name))
+    for finding in chain(scenes, angles, photographs.findings()):
         print(finding, flush=True)
         errors, warnings = errors + finding.is_error, warnings + (not finding.is_error)
     print(f"{photographs.count} photographs looked at: {errors} errors, {warnings} warnings")

@@ -5,6 +5,7 @@ import sys
 from itertools import chain
 from pathlib import Path
 
+from irodori.check.angles import of_object
 from irodori.check.contact_sheet import ContactSheet
 from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographCheck
@@ -46,7 +47,8 @@ def _preview(files: list[str], output: Path) -> int:
     sheet = ContactSheet(loaded, optics)
     check = PhotographCheck(loaded, sheet.add, optics)
     scenes = (finding for name in loaded.scenes for finding in of_scene(loaded, name))
-    findings = list(chain(scenes, check.findings()))
+    angles = (finding for name in loaded.objects for finding in of_object(loaded, name))
+    findings = list(chain(scenes, angles, check.findings()))
     sheet.write(output, findings, check.located)
     errors = sum(finding.is_error for finding in findings)
     warnings = len(findings) - errors

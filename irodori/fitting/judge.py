@@ -32,6 +32,7 @@ from irodori.fitting.texel_rows import (
     vectors_of,
 )
 from irodori.fitting.texel_rows import VARIANCE as EXPECTED
+from irodori.fitting.varpro import CG, GG, RG
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.functions import log, lower_of, root, select, upper_of
 from irodori.jit.vector_memory import spread
@@ -344,6 +345,37 @@ def diffuse_errors(rows, a, used, rules):
     excess, fits = excess_of(folded(chi2, a), degrees), allowed(folded(chi2, a), degrees, rules)
     variance = excess * folded(middle, a) / (information * information) if information > 0.0 else np.inf
     return math.sqrt(variance + (rules.level_error * a) ** 2), folded(squares, a), fits
+
+
+@uncounted(error_model="numpy")
+def missed_gloss(fixed, sums, most_beta, a, variance):
+    """Return how much of the α of a texel that shows no gloss may be gloss that its observations do not tell from α.
+
+    The largest over all μ, each with the best β and its standard error, but no more gloss than a surface can have, and
+    no more than α. Observations far from the mirror direction, or all at the same angles, hardly tell it; those near
+    the mirror direction and beside it leave next to nothing.
+
+    Parameters
+    ----------
+    fixed : tuple of four
+        Sums of `irodori.fitting.observations.Evidence`.
+    sums : (SUMS, nodes) float64
+        Of the scan, see `irodori.fitting.varpro`.
+    most_beta : (nodes,) float64
+        See `irodori.fitting.texels.Problem`.
+    a, variance : float
+        α without gloss, and the variance of an observation with weight 1.
+    """
+    most = 0.0
+    if fixed[0] > 0.0:
+        for i in range(most_beta.size):
+            cg, gg = sums[CG, i], sums[GG, i]
+            alike, beta = cg / fixed[0], most_beta[i]
+            apart = gg - cg * alike
+            if apart > SINGULAR * gg:
+                beta = min(beta, max(sums[RG, i] - a * cg, 0.0) / apart + math.sqrt(variance / apart))
+            most = max(most, beta * alike)
+    return min(most, a)
 
 
 @uncounted(error_model="numpy")

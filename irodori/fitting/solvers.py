@@ -17,7 +17,9 @@ from irodori.fitting.shared_geometry import no_shared
 from irodori.fitting.texel_rows import COSINE, LOBE, LOBE_SLOPE, RESPONSE, WEIGHT
 from irodori.fitting.varpro import NODE_STEP
 from irodori.material.angle_errors import AUTO, AngleErrors, errors_in_use
+from irodori.reflection.albedo import gloss_albedo
 from irodori.reflection.coat import COATS, COUPLED, SUM
+from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobes import Lobes
 from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 
@@ -319,7 +321,7 @@ def problem_of(
     camera, known = camera_noise(noise, captures)
     problem = texels.Problem(
         response, weight, geometry, np.require(clipped, requirements=["C", "W"]), float(n), float(k), camera, nodes,
-        Lobes((options.lobes[0],)), options.is_coupled,
+        _most_beta(options.lobes[0], nodes, n, k), Lobes((options.lobes[0],)), options.is_coupled,
     )  # fmt: skip
     rules = Rules(
         *options.limits("alpha"), *options.limits("beta"), float(nodes[-1]), float(nodes[0]), known,
@@ -327,6 +329,13 @@ def problem_of(
         float(options.level_error),
     )  # fmt: skip
     return problem, rules
+
+
+def _most_beta(name: str, nodes: np.ndarray, n: float, k: float) -> np.ndarray:
+    """Return β at nodes of log μ with which a lobe reflects, of light along the normal, as much as a smooth surface."""
+    albedo = gloss_albedo(name, np.exp(nodes), 1.0, n, k)[:, 0, 0]
+    # An index of 1 reflects nothing.
+    return np.divide(fresnel_array(np.ones(1), n, k)[0], albedo, out=np.zeros_like(albedo), where=albedo > 0.0)
 
 
 def fit(
@@ -392,7 +401,9 @@ def _fit_two(problem: texels.Problem, rules: Rules, options: FitOptions) -> FitR
     """Fit two gloss components where the data need them, and one elsewhere."""
     second = Lobes((options.lobes[1],))
     one = _solve_varpro(problem, rules, options)
-    two = one if second == problem.lobes else _solve_varpro(problem._replace(lobes=second), rules, options)
+    most = _most_beta(options.lobes[1], problem.nodes, problem.n, problem.k)
+    of_second = problem._replace(lobes=second, most_beta=most)
+    two = one if second == problem.lobes else _solve_varpro(of_second, rules, options)
     found = two_lobes.fit_two(problem, second, rules, one, two)
     first, other = _result(one, problem), _result(two, problem)
     both = found.both == 1

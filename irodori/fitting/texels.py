@@ -50,6 +50,8 @@ class Problem(NamedTuple):
         c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise, for each capture.
     nodes : (nodes,) float64
         log μ of the scan, in decreasing order.
+    most_beta : (nodes,) float64
+        β at each node with which gloss along the normal reflects as much light as a smooth surface: no gloss has more.
     lobes : Lobes
         The lobe to fit.
     coupled : bool
@@ -64,6 +66,7 @@ class Problem(NamedTuple):
     k: float
     noise: np.ndarray
     nodes: np.ndarray
+    most_beta: np.ndarray
     lobes: Lobes
     coupled: bool
 
@@ -144,6 +147,8 @@ def conclude(t, task, room, evidence, found, sure):
         diffuse_error, squares, fits = judge.diffuse_errors(rows, diffuse, used, rules)
         status = judge.diffuse_status(rows, lobes, clipped, model, (diffuse, fits and sure), rules)
         variance = max(squares / (used - 1), floor)
+        missed = judge.missed_gloss(fixed, sums, problem.most_beta, diffuse, variance)
+        diffuse_error = math.sqrt(diffuse_error * diffuse_error + missed * missed)
         return judge.Verdict(
             status, model, diffuse, 0.0, 0.0, diffuse_error, np.inf, np.inf, squares, variance, evaluations
         )

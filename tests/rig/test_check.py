@@ -2,6 +2,7 @@
 
 import copy
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +15,12 @@ from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
 from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import camera_shots, object_shots
+from irodori.capture.shot_planner.planner import plan_best
+from irodori.check.angles import of_object, told_share
 from irodori.command_line import main
+from irodori.config.capture_table import Pose
 from irodori.config.models import Camera, Object, Rig
+from irodori.config.project import load_project
 from irodori.ingest.mosaic import decode
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.dng_writer import write_dng
@@ -49,7 +54,7 @@ def write(folder, files: dict) -> None:
 def project(tmp_path_factory):
     """A folder with a project of files: a camera's chart and white, a plate of one pose, and a scene."""
     folder = tmp_path_factory.mktemp("project")
-    plate, camera, rig = definitions(poses=[{"light_deg": [45.0], "camera_deg": [20.0]}])
+    plate, camera, rig = definitions(poses=[{"light_deg": [45.0], "camera_deg": [20.0, 38.0, 42.0, 45.0, 50.0]}])
     camera["optics"] |= SIZE
     camera |= {"dark_frames": 0, "white_frames": 1, "linearity_exposure_s": []}
     bench, eye, stand = Bench(), made(Camera, camera), made(Rig, rig)
@@ -86,7 +91,42 @@ def said(folder, capsys) -> tuple[int, list[str]]:
 
 def test_a_sound_project_has_no_findings(project, capsys, monkeypatch):
     monkeypatch.chdir(project)
-    assert said(project, capsys) == (0, ["6 photographs looked at: 0 errors, 0 warnings"])
+    assert said(project, capsys) == (0, ["14 photographs looked at: 0 errors, 0 warnings"])
+
+
+@pytest.mark.parametrize("camera", [0.0, 20.0, 38.0])
+def test_photographs_of_one_set_of_angles_are_said_to_leave_gloss_open(project, monkeypatch, camera):
+    """Turns of the table tell no more of a plate."""
+    monkeypatch.chdir(project)
+    loaded = load_project([])
+    plate, _, _ = definitions(
+        poses=[{"light_deg": [45.0], "camera_deg": [camera], "turn_deg": [0.0, 90.0, 180.0, 270.0]}]
+    )
+    loaded.objects["plate"] = replace(made(Object, plate), camera="own")
+    (found,) = list(of_object(loaded, "plate"))
+    start = "config/objects/plate.yaml: poses: found 4 photographs with angles that tell gloss from colour in "
+    assert not found.is_error and found.text.startswith(start)
+    assert "as `irodori plan plate --best 12` chooses them" in found.text
+
+
+def test_poses_that_the_planner_chooses_tell_gloss(project, monkeypatch):
+    monkeypatch.chdir(project)
+    loaded = load_project([])
+    plate = loaded.objects["plate"]
+    poses = plan_best(plate, loaded.rigs["table"], 8).poses
+    assert told_share(plate, loaded.rigs["table"], poses, loaded.config.fit) > 0.9
+    assert told_share(plate, loaded.rigs["table"], [Pose(45.0, 20.0)], loaded.config.fit) == 0.0
+
+
+def test_of_a_table_the_angles_that_were_photographed_count(project, tmp_path, capsys, monkeypatch):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    table = folder / "plate/captures.csv"
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([lines[0], *(line for line in lines if line.startswith("l0450-c0200"))]))
+    status, told = said(folder, capsys)
+    words = "plate/captures.csv: angles: found 1 photograph with angles that tell gloss from colour in 0% of"
+    assert status == 0 and [words in line for line in told] == [True, False]
 
 
 def test_a_mistake_of_a_configuration_on_top_names_its_file(project, tmp_path, capsys, monkeypatch):
@@ -154,7 +194,7 @@ def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch)
     table = folder / "plate/captures.csv"
     table.write_text(table.read_text().replace(",in,", ",?,").replace(",out,", ",in,").replace(",?,", ",out,"))
     status, lines = said(folder, capsys)
-    assert status == 1 and lines[-1].endswith("5 errors, 3 warnings")
+    assert status == 1 and lines[-1].endswith("9 errors, 3 warnings")
     for start, words in (
         ("error: config/scenes/desk.yaml: views.away", "sees none of objects[0] (plate)"),
         ("error: config/scenes/desk.yaml: views.within.position_mm", "an eye inside bodies[1] (sphere)"),

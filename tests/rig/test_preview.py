@@ -40,7 +40,7 @@ def test_a_finding_stands_beside_its_photograph(project, tmp_path, capsys, monke
     table.write_text("\n".join(line.rpartition(",")[0] for line in table.read_text().splitlines()))
     assert main(["preview", "-o", "sheet.html"]) == 1
     page = (folder / "sheet.html").read_text()
-    assert page.count("<figure") == 6 and 'name="viewport"' in page
+    assert page.count("<figure") == 14 and 'name="viewport"' in page
     assert not re.search(r'(src|href)="(?!data:)', page), "the page reads nothing from elsewhere"
     assert 'class="error"' in figure_of(page, dark.name) and 'class="error"' not in figure_of(page, lit.name)
     assert "<path" in figure_of(page, lit.name)

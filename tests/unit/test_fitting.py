@@ -219,6 +219,39 @@ def test_gloss_that_no_observation_comes_near_is_unknown():
     assert result.alpha == pytest.approx(0.4, abs=1e-3)
 
 
+@pytest.mark.parametrize("solver", ["varpro", "nlopt", "nlopt-reference"])
+@pytest.mark.parametrize("camera", [38.0, 0.0])
+def test_gloss_that_no_angle_would_have_told_is_in_the_error_of_alpha(solver, camera):
+    """Eight photographs within a degree of one set of angles; the gloss reflects up to half of a smooth surface's."""
+    rng, count = np.random.default_rng(3), 200
+    light, view = np.radians([45.0, camera])[:, None, None] + np.radians(rng.uniform(-1.0, 1.0, (2, count, 8)))
+    geometry = np.stack([light, np.abs(view), np.abs(light + view) / 2, np.abs(light - view) / 2], axis=-1)
+    alpha, mu = np.exp(rng.uniform(np.log([[0.03], [0.05]]), np.log([[0.8], [0.4]]), (2, count)))
+    truth = model(alpha, rng.uniform(0.05, 0.5, count) / (4.0 * mu**2), mu, geometry)
+    noise = np.tile([1e-7, 2e-5], (8, 1))
+    seen = truth * (1.0 + 0.01 * rng.normal(size=truth.shape)) + np.sqrt(2e-5 * truth) * rng.normal(size=truth.shape)
+    options = FitOptions(solver=solver, level_error=0.0)
+    found = fit(seen, geometry, np.ones_like(seen), N, K, options, noise=noise)
+    matt = found.status == Status.DIFFUSE_ONLY
+    off = np.abs(found.alpha - alpha)[matt]
+    assert matt.sum() > 40 and (off <= 2.0 * found.alpha_error[matt]).mean() > 0.95
+    assert np.quantile(off / alpha[matt], 0.95) > 0.05
+    assert (found.alpha_error[matt] <= 1.01 * found.alpha[matt]).all()
+
+
+def test_where_angles_near_the_mirror_direction_show_no_gloss_alpha_is_stated_exactly():
+    rng = np.random.default_rng(4)
+    alpha = np.linspace(0.03, 0.8, 1000)
+    truth, noise = model(alpha, 0.0, 0.1), np.tile([1e-7, 2e-5], (len(GEOMETRY), 1))
+    seen = truth * (1.0 + 0.01 * rng.normal(size=truth.shape)) + np.sqrt(2e-5 * truth) * rng.normal(size=truth.shape)
+    geometry = np.broadcast_to(GEOMETRY, (*seen.shape, 4))
+    found = fit(seen, geometry, np.ones_like(seen), N, K, FitOptions(level_error=0.0), noise=noise)
+    matt = found.status == Status.DIFFUSE_ONLY
+    z = np.abs(found.alpha - alpha)[matt] / found.alpha_error[matt]
+    assert matt.mean() > 0.9 and (z <= 2.0).mean() > 0.95
+    assert np.sqrt(np.mean(z**2)) > 0.5  # not stated larger than twice what it is
+
+
 @pytest.mark.stability(stage="fit", case="1 observation", observations=1)
 @pytest.mark.stability(stage="fit", case="2 or 3 observations", observations=(2, 3))
 @pytest.mark.parametrize("observations", [1, 2, 3])

@@ -252,7 +252,10 @@ def test_amplitude_changes_no_decision(scale, weights):
                FitOptions(weights=weights, bounds=bounds), noise=camera)  # fmt: skip
     assert np.array_equal(one.status, many.status)
     np.testing.assert_allclose(many.mu, one.mu, rtol=1e-6, equal_nan=True)
-    np.testing.assert_allclose(many.alpha_error, scale * one.alpha_error, rtol=1e-5, equal_nan=True)
+    # How much gloss a matt texel may hide is limited by what a surface can reflect, which is no matter of units.
+    told = one.status != Status.DIFFUSE_ONLY
+    np.testing.assert_allclose(many.alpha_error[told], scale * one.alpha_error[told], rtol=1e-5, equal_nan=True)
+    assert not told.all() and np.isfinite(many.alpha_error[~told]).all()
 
 
 @pytest.mark.parametrize("observations", [5, 8])

@@ -153,7 +153,9 @@ def test_where_no_model_predicts_the_photographs_all_errors_are_larger_and_nothi
 
 
 @pytest.mark.parametrize("alpha_error", [0.003, 0.3])
-def test_what_photographs_do_not_tell_from_gloss_is_in_the_errors_of_colours(tmp_path, calibration, alpha_error):
+def test_what_photographs_do_not_tell_from_gloss_is_in_the_errors_of_colours(
+    tmp_path, calibration, alpha_error, caplog
+):
     """Errors of α by gloss that was not subtracted, or too much of it, are the same in all bands."""
     tile = write_tile(tmp_path / "tile.h5", (0, 16), 64, 1, noise=1e-8)
     off = alpha_error * np.random.default_rng(2).normal(size=(16 * 64, 1)).astype(np.float32)
@@ -163,7 +165,9 @@ def test_what_photographs_do_not_tell_from_gloss_is_in_the_errors_of_colours(tmp
         file.attrs["common_error"] = 0.0
         file["alpha_error"][5] = np.nan
     accept(tmp_path / "tile.h5")
-    found = compress([tmp_path / "tile.h5"], calibration, (16, 64), tmp_path / "m.h5", storage="single")
+    with caplog.at_level("WARNING"):
+        found = compress([tmp_path / "tile.h5"], calibration, (16, 64), tmp_path / "m.h5", storage="single")
+    assert ("photographs do not tell gloss from colour" in caplog.text) == (alpha_error == 0.3)
     truth, seen = tile["diffuse_response"] @ BASIS.T, found.observed
     with store.open_file(tmp_path / "m.h5") as file:
         stated, spectral = file.read("delta_e_error"), file.read("spectral_error").astype(float)
