@@ -3,8 +3,8 @@
 import os
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
-from itertools import pairwise
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,11 +12,32 @@ from irodori.core.errors import InputError
 
 #: Ways to state the order of photographs whose clock and names contradict each other.
 ORDERS = ("clock", "names")
-#: Cameras count in four digits or more, up to the last of these numbers, and then begin again at 0 or 1.
-_DIGITS, _FIRST, _LAST = 4, 1, 9999
+#: Cameras count in four digits up to the last of these numbers, and then begin again at 0 or 1. Up to four digits more
+#: precede them, of a folder or a day: P5049999.ORF, DSC09999.ARW.
+_DIGITS, _MOST_DIGITS, _FIRST, _LAST = 4, 8, 1, 9999
 #: A name without its ending: what precedes its last number, the number, and what follows it.
 _NUMBERED = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
-_BY_NAMES = "names that count up in the order of the photographs"
+#: A name that ends with day and time, as phones give it: 20260504_101500.
+_DATED = re.compile(r".*\d{8}\D\d{6}\D*", re.DOTALL)
+
+
+class _Numbered(NamedTuple):
+    """Parts of a name without its ending, in small letters: what precedes its last number, the number, the rest."""
+
+    before: str
+    digits: str
+    after: str
+    is_count: bool
+
+    @property
+    def series(self) -> str:
+        """What precedes the last four digits, which are the camera's count."""
+        return self.before + self.digits[:-_DIGITS]
+
+    @property
+    def number(self) -> int:
+        """The last four digits."""
+        return int(self.digits[-_DIGITS:])
 
 
 class _Restart(NamedTuple):
@@ -29,7 +50,7 @@ class _Restart(NamedTuple):
     last, first : str
         Names with the largest and with the smallest number, between which the count would have begun again.
     is_sure : bool
-        Whether these numbers are 9999, and 0 or 1.
+        Whether no number is missing from the first to the last photograph, with two or more on each side.
     """
 
     begin: int
@@ -39,19 +60,20 @@ class _Restart(NamedTuple):
 
 
 def in_counting_order(names: Iterable[str]) -> list[str]:
-    """Sort names with numbers in them by the values of the numbers: a2 before a10, and a9999 before a0001.
+    """Sort names with numbers in them by the values of the numbers: a2 before a10.
 
-    Raises
-    ------
-    InputError
-        If it cannot be told whether a camera's count began again after 9999.
+    a9999 comes before a0001 if no number is missing between the first and the last and two or more are on each side.
     """
     names = list(names)
-    restarts = _restarts(names)
-    for restart in restarts.values():
-        if not restart.is_sure:
-            raise _untold(restart, _BY_NAMES)
+    restarts = _sure(_restarts(names))
     return sorted(names, key=lambda name: _key(name, restarts))
+
+
+def refuse_untold_order(names: Iterable[str]) -> None:
+    """Raise `InputError` if names do not tell whether a camera's count began again after 9999."""
+    for restart in _restarts(names).values():
+        if not restart.is_sure:
+            raise _untold(restart)
 
 
 def in_order(times: Mapping[Path, str], said: str = "") -> tuple[list[Path], str]:
@@ -67,103 +89,166 @@ def in_order(times: Mapping[Path, str], said: str = "") -> tuple[list[Path], str
     Returns
     -------
     paths : list of Path
-        By time, those of one time by name; all by name if a file states no time.
+        By time, those of one time by name; all by name if a file states no time. Within a second, names that differ in
+        nothing but a number outweigh its fractions, because some cameras write 7 ms as 7, which means 0.7 s.
     order : str
         What the order is that of, as a phrase.
 
     Raises
     ------
     InputError
-        If clock and names contradict each other, because the clock was set meanwhile or files were renamed; if it
-        cannot be told whether the count began again after 9999; for the order ``clock``, if a file states no time.
+        If clock and names contradict each other, because the clock was set meanwhile, files were renamed or names do
+        not count photographs; if it cannot be told whether the count began again after 9999; for the order ``clock``,
+        if a file states no time.
     """
-    restarts = _restarts([path.name for path in times])
-    sure = {before: restart for before, restart in restarts.items() if restart.is_sure}
     silent = [path for path, time in times.items() if not time]
-    by_name = _by_name(times, sure)
+    if said == "clock" and silent:
+        raise InputError(silent[0], "time", "none", "--order clock where every file states its time")
+    possible = _restarts(path.name for path in times)
+    restarts = _sure(possible)
+    by_name = _by_name(times, restarts)
     if said == "names":
         return by_name, "their names, as --order says"
     if said == "clock":
-        if silent:
-            raise InputError(silent[0], "time", "none", "--order clock where every file states its time")
         return sorted(by_name, key=times.__getitem__), "the camera's clock, as --order says"
-    unsure = next((restart for restart in restarts.values() if not restart.is_sure), None)
-    fault = _contradiction(by_name, times)
-    if unsure is not None:
-        restarted = _by_name(times, restarts)
-        fault_restarted = _contradiction(restarted, times)
-        if fault is None and fault_restarted is None:
-            raise _untold(unsure, f"--order names, if these are {_BY_NAMES}, or other names")
-        if fault is not None:
-            by_name, fault = restarted, fault_restarted
-    if fault is not None:
-        raise fault
+    seconds = {path: time.partition(".")[0] for path, time in times.items()}
+    restarts |= _told_by_clock(possible, seconds)
+    by_name = _by_name(times, restarts)
+    # Where a file states no time, names alone tell its place, and have to be right for all others too.
+    found = _contradiction(by_name, seconds, _folder if silent else _counter)
+    if found is not None:
+        raise _refusal(*found, times, silent)
     if silent:
         return by_name, "their names, because not every file states its time"
-    return sorted(by_name, key=times.__getitem__), "the camera's clock"
+    ordered: list[Path] = []
+    for _, same in groupby(sorted(by_name, key=seconds.__getitem__), seconds.__getitem__):
+        second = list(same)
+        agrees = _contradiction(second, times, _but_number) is None
+        ordered += sorted(second, key=times.__getitem__) if agrees else second
+    return ordered, "the camera's clock"
+
+
+def _told_by_clock(restarts: Mapping[str, _Restart], times: Mapping[Path, str]) -> dict[str, _Restart]:
+    """Return those restarts that are not sure by the names, but which the clock requires.
+
+    Raises
+    ------
+    InputError
+        If the clock contradicts neither the count with nor that without the restart.
+    """
+    told = {}
+    for series, restart in restarts.items():
+        if restart.is_sure:
+            continue
+        own = [path for path in times if _numbered(path.name).series == series]
+        is_possible, is_possible_without = (
+            _contradiction(_by_name(own, reading), times, _counter) is None for reading in ({series: restart}, {})
+        )
+        if is_possible and is_possible_without:
+            raise _untold(restart, "--order names if it has not, or ")
+        if is_possible:
+            told[series] = restart
+    return told
 
 
 def _by_name(paths: Iterable[Path], restarts: Mapping[str, _Restart]) -> list[Path]:
     return sorted(paths, key=lambda path: _key(path.name, restarts))
 
 
-def _key(name: str, restarts: Mapping[str, _Restart]) -> list[str | int]:
-    """Return texts and numbers in turn; a number after a restart of the count is larger than those before it."""
-    key: list[str | int] = [int(p) if at % 2 else p.lower() for at, p in enumerate(re.split(r"(\d+)", name))]
-    before, number, _ = _numbered(name)
-    if before in restarts and number < restarts[before].begin:
-        key[2 * len(re.findall(r"\d+", before)) + 1] = number + _LAST + 1
-    return key
+def _key(name: str, restarts: Mapping[str, _Restart]) -> list[str | tuple[int, bool, int]]:
+    """Return texts and numbers in turn; after a restart of the count, its last four digits are larger than before."""
+    numbered = _numbered(name)
+    restart = restarts.get(numbered.series) if numbered.is_count else None
+    is_later = restart is not None and numbered.number < restart.begin
+    last = 2 * len(re.findall(r"\d+", numbered.before)) + 1
+    return [
+        (int(part) // (_LAST + 1), is_later and at == last, int(part) % (_LAST + 1)) if at % 2 else part.lower()
+        for at, part in enumerate(re.split(r"(\d+)", name))
+    ]
 
 
-def _numbered(name: str) -> tuple[str, int, str]:
-    """Return what precedes the last number of a name, the number, and what follows it before the name's ending."""
-    found = _NUMBERED.fullmatch(os.path.splitext(name)[0])
-    return (found[1].lower(), int(found[2]), found[3].lower()) if found else (name, 0, "")
+def _numbered(name: str) -> _Numbered:
+    stem = os.path.splitext(name)[0]
+    found = _NUMBERED.fullmatch(stem)
+    if found is None:
+        return _Numbered(stem.lower(), "", "", False)
+    is_count = _DIGITS <= len(found[2]) <= _MOST_DIGITS and _DATED.fullmatch(stem) is None
+    return _Numbered(found[1].lower(), found[2], found[3].lower(), is_count)
 
 
 def _restarts(names: Iterable[str]) -> dict[str, _Restart]:
-    """Return where counts may have begun again, by what precedes the number.
+    """Return where counts may have begun again, by what precedes the last four digits.
 
     They may if fewer numbers are missing from the largest over 9999 to the smallest than between two others.
     """
-    counted: dict[str, list[tuple[int, str]]] = defaultdict(list)
+    counted: dict[str, dict[int, str]] = defaultdict(dict)
     for name in names:
-        before, number, after = _numbered(name)
-        if not after and re.search(rf"\d{{{_DIGITS}}}$", os.path.splitext(name)[0]):
-            counted[before].append((number, name))
+        numbered = _numbered(name)
+        if numbered.is_count and not numbered.after:
+            counted[numbered.series][numbered.number] = name
     restarts = {}
-    for before, found in counted.items():
-        found.sort()
-        (least, first), (most, last) = found[0], found[-1]
-        gap, begin = max(((b - a, b) for (a, _), (b, _) in pairwise(found)), default=(0, 0))
-        if most <= _LAST and gap > least + _LAST - most:
-            restarts[before] = _Restart(begin, last, first, most == _LAST and least <= _FIRST)
+    for series, found in counted.items():
+        counts = sorted(found)
+        least, most = counts[0], counts[-1]
+        gap, at = max(((b - a, at) for at, (a, b) in enumerate(pairwise(counts), 1)), default=(0, 0))
+        if gap > least + _LAST - most:
+            none_missing = most == _LAST and least <= _FIRST and gap + len(counts) == most - least + 2
+            is_sure = none_missing and 2 <= at <= len(counts) - 2
+            restarts[series] = _Restart(counts[at], found[most], found[least], is_sure)
     return restarts
 
 
-def _contradiction(by_name: list[Path], times: Mapping[Path, str]) -> InputError | None:
-    """Return the sentence on the first photograph whose time contradicts its name; None if there is none.
+def _sure(restarts: Mapping[str, _Restart]) -> dict[str, _Restart]:
+    return {series: restart for series, restart in restarts.items() if restart.is_sure}
 
-    Only names that differ in nothing but their last number are compared, unless the names alone tell the place of a
-    photograph without a time.
+
+def _contradiction(
+    by_name: list[Path], times: Mapping[Path, str], run: Callable[[Path], Hashable]
+) -> tuple[Path, Path] | None:
+    """Return the first photograph of a run whose time is earlier than that of the one before it, and that one first.
+
+    Photographs without a time are passed over, as are those of the run None.
     """
-    is_timed = all(times.values())
-    runs: dict[tuple[str, str], list[Path]] = defaultdict(list)
+    before: dict[Hashable, Path] = {}
     for path in by_name:
-        if times[path]:
-            before, _, after = _numbered(path.name)
-            runs[(before, after) if is_timed else ("", "")].append(path)
-    for run in runs.values():
-        for one, other in pairwise(run):
-            if times[other] < times[one]:
-                found = f"{times[other]}, before {times[one]} of {one.name}, which by name is the earlier one"
-                accepted = "--order names if the clock was set between them"
-                by_clock = ", --order clock if files were renamed" if is_timed else ""
-                return InputError(other, "time", found, accepted + by_clock)
+        key = run(path)
+        if key is None or not times[path]:
+            continue
+        if key in before and times[path] < times[before[key]]:
+            return before[key], path
+        before[key] = path
     return None
 
 
-def _untold(restart: _Restart, accepted: str) -> InputError:
-    found = f"numbers up to {restart.last}, after which the count may have begun again with {restart.first}"
-    return InputError(restart.last, "", found, accepted)
+def _folder(path: Path) -> Hashable:
+    """Return the same for all photographs, for `_contradiction`."""
+    return ""
+
+
+def _counter(path: Path) -> Hashable:
+    """Return what photographs of one counter have in common; None for a name that ends with no camera's count."""
+    numbered = _numbered(path.name)
+    return numbered.before if numbered.is_count and not numbered.after else None
+
+
+def _but_number(path: Path) -> Hashable:
+    """Return what names have in common that differ in nothing but their last number."""
+    numbered = _numbered(path.name)
+    return numbered.before, numbered.after
+
+
+def _refusal(one: Path, other: Path, times: Mapping[Path, str], silent: list[Path]) -> InputError:
+    found = f"{times[other]}, before {times[one]} of {one.name}, which by name is the earlier one"
+    otherwise = (
+        f"or names in the order of the photographs, because {silent[0].name} states no time"
+        if silent
+        else "--order clock if files were renamed or have names that do not count photographs"
+    )
+    return InputError(other, "time", found, f"--order names if the clock was set between them, {otherwise}")
+
+
+def _untold(restart: _Restart, accepted: str = "") -> InputError:
+    last, first = (Path(name).name for name in (restart.last, restart.first))
+    found = f"numbers up to {last}, after which the count may have begun again with {first}"
+    renamed = f"names that tell, such as a-{last} before b-{first} if it has"
+    return InputError(restart.last, "", found, accepted + renamed)
