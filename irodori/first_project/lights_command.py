@@ -9,7 +9,7 @@ import numpy as np
 from irodori.config.capture_table import light_angles_deg
 from irodori.core.errors import InputError
 from irodori.first_project.mirror_highlights import brightness, lamp_direction, outline, write_light_places
-from irodori.first_project.photograph_order import in_counting_order
+from irodori.first_project.photograph_order import in_counting_order, refuse_untold_order
 from irodori.rectification.circle_search import Circle, circle_of_mask
 
 
@@ -54,12 +54,16 @@ def names_of(asked: argparse.Namespace, own: list[str]) -> list[str]:
     Raises
     ------
     InputError
-        If there are not as many names as photographs of the ball.
+        If there are not as many names as photographs of the ball, or it cannot be told in which order they count.
     """
-    listed = in_counting_order(asked.names) if asked.names else own
+    if not asked.names:
+        return own
+    listed = in_counting_order(asked.names)
     if len(listed) != len(own):
         found = f"{len(own)} photographs of the ball and {len(listed)} names"
         raise InputError("--names", "", found, "one name for each photograph")
+    refuse_untold_order(own)
+    refuse_untold_order(listed)
     return listed
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from irodori.core import store
 from irodori.evaluation.left_out_photographs import fit_known_shape, predict_left_out
 from irodori.export.pictures import stored_samples
 from irodori.first_project.dome_command import INSIDE, simplest
+from irodori.first_project.dome_photographs import read_photographs
 from irodori.first_project.light_places import read_lamps, write_lamps
 from irodori.first_project.mirror_highlights import write_light_places
 from irodori.fitting.one_gloss import MATT, fit_surface
@@ -192,6 +194,7 @@ def test_a_documented_command_measures_a_ball(command, folder, capsys):
 
 def test_the_command_refuses_in_one_sentence(folder, capsys):
     files = [f"My ball/{number}.png" for number in range(COUNT)]
+    apart = [f"p_{number:04d}.png" for number in (*range(500, 500 + COUNT - 1), 9500)]
     write_samples("My ball/other.png", np.zeros((20, 20, 3), dtype=np.uint8))
     write_light_places("two.lp", dict.fromkeys(("0.png", "1.png"), DIRECTIONS[0]))
     write_light_places("far.lp", {f"{number}.png": -one for number, one in enumerate(DIRECTIONS)})
@@ -202,11 +205,25 @@ def test_the_command_refuses_in_one_sentence(folder, capsys):
         ([*files, "--lights", "far.lp", "--linear"], "0.png without places that are lit"),
         ([*files, "--lights", "dome.lp", "--linear", "--mask", "My ball/other.png"], "20 x 20 pixels"),
         ([*files, "--lights", "none.lp", "--linear"], "none.lp"),
+        ([*files, "--lights", "dome.lp", "--linear", "--names", *apart], "names that tell, such as a-p_9500.png"),
     ):
         assert main(["dome", *words]) == 2
         error = capsys.readouterr().err
         assert told in error and error.count("\n") == 1
     assert not Path("dome").exists()
+
+
+def test_photographs_are_read_whether_or_not_their_names_tell_an_order(folder):
+    """Lamps are found by name."""
+    numbers = [500, 9500, 1600, 1000, 3200]
+    for at, number in enumerate(numbers):
+        Path(f"My ball/{at}.png").rename(f"My ball/iso_{number:04d}.png")
+    lights = {f"iso_{number:04d}.png": DIRECTIONS[at] for at, number in enumerate(numbers)}
+    write_light_places("iso.lp", lights)
+    asked = Namespace(photographs=[f"My ball/{name}" for name in lights], mask=None, lights="iso.lp", linear=True)
+    read = read_photographs(asked)
+    assert read.names == sorted(lights)
+    assert np.allclose(read.direction, [lights[name] for name in read.names], atol=1e-3)
 
 
 def reliefs(gloss) -> list[str]:

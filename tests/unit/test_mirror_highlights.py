@@ -105,6 +105,31 @@ def test_the_command_lists_the_photographs_of_the_object_in_counting_order(folde
         assert apart_deg(read_light_places("b.lp")[f"chrome.{number}"], lamp) < 1.0
 
 
+def test_the_order_of_names_matters_only_where_other_names_are_listed(folder, capsys):
+    numbers = [500, 1000, 1600, 9500]
+    for at, number in enumerate(numbers):
+        Path(f"chrome.{at}.png").rename(f"img_{number:04d}.png")
+    own = [f"img_{number:04d}.png" for number in numbers]
+    circle = ["--circle", *map(str, BALL)]
+    assert main(["lights", *own, *circle]) == 0
+    for name, lamp in zip(own, lamps(11), strict=False):
+        assert apart_deg(read_light_places("lights.lp")[Path(name).stem], lamp) < 1.0
+    capsys.readouterr()
+    Path("lights.lp").unlink()
+    plain = ["plate_1.tif", "plate_2.tif", "plate_3.tif", "plate_4.tif"]
+    for ball, names in ((own, plain), (sorted(folder)[-4:], [f"plate/{name}" for name in own])):
+        assert main(["lights", *ball, *circle, "--names", *names]) == 2
+        said = capsys.readouterr().err
+        assert "img_9500.png: found numbers up to img_9500.png, after which" in said and said.count("\n") == 1
+        assert said.endswith("accepted: names that tell, such as a-img_9500.png before b-img_0500.png if it has.\n")
+        assert not Path("lights.lp").exists()
+    renamed = ["a-img_9500.png", *(f"b-{name}" for name in own[:3])]
+    for name, new in zip([own[3], *own[:3]], renamed, strict=True):
+        Path(name).rename(new)
+    assert main(["lights", *renamed, *circle, "--names", *plain]) == 0
+    assert apart_deg(read_light_places("lights.lp")["plate_1"], lamps(11)[3]) < 1.0
+
+
 @pytest.mark.parametrize("command", of_kind("lights"))
 def test_a_documented_command_finds_lamps(command, folder, tmp_path):
     """What a shell makes of a star is for it to do."""
