@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
     parser.add_argument("--lights", help=lights)
     linear = "the photographs are TIFF or PNG pictures whose numbers go with the light, without a tone curve"
     parser.add_argument("--linear", action="store_true", help=linear)
-    order = "what tells the order of the photographs, if clock and file names contradict each other"
+    order = "what tells the order of the photographs, if clock and file names contradict each other or leave it open"
     parser.add_argument("--order", choices=ORDERS, default="", help=order)
     parser.add_argument("--answers", help="YAML file of answers by the names that the questions have")
     asked = parser.parse_args(arguments)

@@ -128,8 +128,8 @@ def photographs(place, linear: bool = False, order: str = "") -> tuple[list[Phot
     ------
     InputError
         If there is no photograph, one cannot be decoded, a RAW file states no exposure time, or the photographs are
-        from several cameras or have different sizes; if a file is a link out of the folder, which
-        the later commands do not follow; if the order cannot be told.
+        from several cameras or have different sizes; if a file is a link out of the folder, which the later commands do
+        not follow; if the order cannot be told.
     """
     files = raw_files(place, linear)
     for file in files:
