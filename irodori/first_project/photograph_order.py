@@ -20,9 +20,14 @@ _NUMBERED = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 #: A name that ends with day and time, as phones give it: 20260504_101500.
 _DATED = re.compile(r".*\d{8}\D\d{6}\D*", re.DOTALL)
 
+_BY_CLOCK = "--order clock if files were renamed or have names that do not count photographs"
+
 
 class _Numbered(NamedTuple):
-    """Parts of a name without its ending, in small letters: what precedes its last number, the number, the rest."""
+    """Name without its ending, in small letters: what precedes its last number, the number, and what follows it.
+
+    ``is_count`` tells whether the number can be that of a camera.
+    """
 
     before: str
     digits: str
@@ -134,7 +139,7 @@ def _told_by_clock(restarts: Mapping[str, _Restart], times: Mapping[Path, str]) 
     Raises
     ------
     InputError
-        If the clock contradicts neither the count with nor that without the restart.
+        If the clock contradicts neither the count with nor that without the restart, or both.
     """
     told = {}
     for series, restart in restarts.items():
@@ -144,8 +149,9 @@ def _told_by_clock(restarts: Mapping[str, _Restart], times: Mapping[Path, str]) 
         is_possible, is_possible_without = (
             _contradiction(_by_name(own, reading), times, _counter) is None for reading in ({series: restart}, {})
         )
-        if is_possible and is_possible_without:
-            raise _untold(restart, "--order names if it has not, or ")
+        if is_possible == is_possible_without:
+            by_clock = f"{_BY_CLOCK}, " if not is_possible and all(times.values()) else ""
+            raise _untold(restart, f"{by_clock}--order names if it has not, or ")
         if is_possible:
             told[series] = restart
     return told
@@ -240,9 +246,7 @@ def _but_number(path: Path) -> Hashable:
 def _refusal(one: Path, other: Path, times: Mapping[Path, str], silent: list[Path]) -> InputError:
     found = f"{times[other]}, before {times[one]} of {one.name}, which by name is the earlier one"
     otherwise = (
-        f"or names in the order of the photographs, because {silent[0].name} states no time"
-        if silent
-        else "--order clock if files were renamed or have names that do not count photographs"
+        f"or names in the order of the photographs, because {silent[0].name} states no time" if silent else _BY_CLOCK
     )
     return InputError(other, "time", found, f"--order names if the clock was set between them, {otherwise}")
 

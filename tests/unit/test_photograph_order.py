@@ -151,6 +151,17 @@ def test_where_a_count_ends_at_9999_the_clock_tells_whether_it_began_again(numbe
             in_order(mixed(unclear))
 
 
+def test_a_clock_that_contradicts_a_count_with_and_without_a_restart_is_refused_with_both_doubts():
+    """Else ``--order names`` would be advised, by which the small numbers come first."""
+    names = [*numbered(9990, 9), *numbered(1, 20)]
+    times = taken(names, back_at=15)
+    begun = r"up to IMG_9998\.DNG, after which .* begun again with IMG_0001\.DNG; accepted: "
+    with pytest.raises(InputError, match=begun + "--order clock if files were renamed .*, --order names if it has not"):
+        in_order(mixed(times))
+    with pytest.raises(InputError, match=begun + "--order names if it has not"):
+        in_order(mixed(times | {Path("raw", names[3]): ""}))
+
+
 def test_names_that_tell_as_the_message_says_are_accepted():
     names = ["a-IMG_9998.DNG", "a-IMG_9999.DNG", "b-IMG_0003.DNG", "b-IMG_0004.DNG"]
     refuse_untold_order(names)
