@@ -119,7 +119,7 @@ def _rig(name: str, checked: bool = True):
     definition = load_one("rigs", name).rigs[name]
     if definition.motion is None:
         raise InputError(f"config/rigs/{name}.yaml", "motion", "no such key", "a rig with motors")
-    with ending_in_order(), open_rig(definition, checked) as rig:
+    with ending_in_order(), open_rig(definition, checked, name) as rig:
         rig.on_hold = PromptOperator(Dialogue(definition.operator_deadline_s)).confirm
         yield rig
 

@@ -24,9 +24,8 @@ _HEADERS = (_HEADER, ",".join(_FIRST_NAMES) + "\n")
 _HASH_DIGITS = 64  # of a SHA-256 in hexadecimal
 #: Table of photographs that a changed plan no longer requires; their files are kept.
 RETIRED = "captures-retired.csv"
-#: File with the names of photographs after which the rig was not compared with its limit switches, one a line, and the
-#: line that follows those for which it is too late.
-UNCHECKED, _COUNT_LOST = "captures-unchecked.txt", "(the rig lost its count of steps)"
+#: End of the name of a table's list of photographs after which the rig was not compared with its limit switches.
+UNCHECKED = "-unchecked.txt"
 
 
 class StorageError(DeviceError):
@@ -168,7 +167,8 @@ class Journal:
     def __init__(self, table, folder=None) -> None:
         self.table = Path(table)
         self.folder = self.table.parent if folder is None else Path(folder)
-        self.retired, self._unchecked = self.table.with_name(RETIRED), self.table.with_name(UNCHECKED)
+        self.retired = self.table.with_name(RETIRED)
+        self._unchecked = self.table.with_name(f"{self.table.stem}{UNCHECKED}")
         self.shots: dict[str, Shot] = {}
         self.sha256: dict[str, str] = {}
         self._unhashed: dict[str, Shot] = {}
@@ -356,56 +356,40 @@ class Journal:
         self.shots[shot.file], self.sha256[shot.file] = shot, sha256
 
     @property
-    def unchecked(self) -> list[str]:
-        """Photographs after which the rig was not yet compared with its limit switches, but still can be.
+    def unchecked(self) -> dict[str, str]:
+        """Photographs whose angles no search for lost steps has confirmed: {file: ID of the homing before it}.
 
         Raises
         ------
         StorageError
         """
-        return self._marked()[1]
+        marks = self._marks()
+        return {file: marks[file] for file in self.shots if file in marks}
 
-    @property
-    def never_checked(self) -> list[str]:
-        """Photographs after which the rig lost its count of steps before it was compared with its limit switches.
-
-        Raises
-        ------
-        StorageError
-        """
-        return self._marked()[0]
-
-    def _marked(self) -> tuple[list[str], list[str]]:
-        """Return the photographs before and after the last line that says that the count was lost."""
+    def _marks(self) -> dict[str, str]:
         if not self._unchecked.exists():
-            return [], []
+            return {}
         with storing(self._unchecked):
             lines = self._unchecked.read_text(encoding="utf-8", errors="replace").split("\n")
-        end = max((number for number, line in enumerate(lines) if line == _COUNT_LOST), default=0)
-        before, after = set(lines[:end]), set(lines[end:])
-        return [file for file in self.shots if file in before - after], [file for file in self.shots if file in after]
+        found = (line.partition(" ") for line in lines)
+        return {file: homing for homing, _, file in found if file}
 
-    def leave_unchecked(self, file: str) -> None:
-        """Mark a photograph as `unchecked`, before its line is appended; the mark outlasts the sitting."""
-        self._mark(file)
-
-    def lose_count(self) -> None:
-        """Turn all `unchecked` photographs into `never_checked` ones."""
-        self._mark(_COUNT_LOST)
-
-    def _mark(self, line: str) -> None:
+    def leave_unchecked(self, file: str, homing: str) -> None:
+        """Mark a photograph as `unchecked`, before it has its name; the mark outlasts the sitting."""
         with storing(self._unchecked), open(self._unchecked, "a", encoding="utf-8") as out:
-            out.write(f"{line}\n")
+            out.write(f"\n{homing} {file}\n")  # on its own line, also after half of one
             out.flush()
             os.fsync(out.fileno())
 
-    def checked(self) -> None:
-        """Remove the marks of `unchecked` photographs: none is in doubt any more, or it was set aside."""
-        if never := self.never_checked:
-            with storing(self._unchecked), written_whole(self._unchecked) as temporary:
-                temporary.write_text("\n".join([*never, _COUNT_LOST, ""]), encoding="utf-8")
-        else:
-            with storing(self._unchecked):
+    def checked(self, files: Iterable[str]) -> None:
+        """Remove the marks of photographs: they are confirmed, a person has kept them, or they are set aside."""
+        gone = set(files)
+        left = {file: homing for file, homing in self._marks().items() if file not in gone}
+        with storing(self._unchecked):
+            if left:
+                with written_whole(self._unchecked) as temporary:
+                    temporary.write_text("".join(f"{left[file]} {file}\n" for file in left), encoding="utf-8")
+            else:
                 self._unchecked.unlink(missing_ok=True)
                 _sync_folder(self.table.parent)
 

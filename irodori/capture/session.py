@@ -20,10 +20,12 @@ from irodori.capture.rig.devices import (
     ANGLE_TOLERANCE_DEG,
     NOT_REPORTED,
     AlarmError,
+    Axis,
     CameraDevice,
     DeviceError,
     RigDevice,
 )
+from irodori.capture.rig.homings import Homings, Verdict
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import Shot, Taken
 from irodori.core.atomic_files import file_sha256
@@ -88,7 +90,7 @@ class PositionCheck:
     Parameters
     ----------
     photographs : int
-        Number of photographs since the last comparison, or since the beginning of the sitting.
+        Number of photographs, also of earlier sittings, since the rig was homed.
     lost_deg : dict
         {axis: true angle minus the angle that the controller counted, degrees}.
     """
@@ -96,17 +98,46 @@ class PositionCheck:
     photographs: int
     lost_deg: Mapping[str, float]
 
-    def beyond(self, limit_deg: Mapping[str, float]) -> str:
-        """Return a phrase that names the axes with a deviation beyond their limits; empty if there are none."""
-        off = {name: lost for name, lost in self.lost_deg.items() if abs(lost) > limit_deg[name] + ANGLE_TOLERANCE_DEG}
-        return ", ".join(f"{name} stood {lost:+.3g} degrees off its count" for name, lost in off.items())
-
     def __str__(self) -> str:
-        return "limit switches found: " + self.beyond(dict.fromkeys(self.lost_deg, -1.0))
+        return "limit switches found: " + _told(self.lost_deg)
 
     def plain(self) -> dict:
         """Return the comparison as plain values for the session's record."""
         return {"photographs": self.photographs, "lost_deg": dict(self.lost_deg)}
+
+
+def _told(lost_deg: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} stood {lost:+.3g} degrees off its count" for name, lost in lost_deg.items())
+
+
+def off_their_count(lost_deg: Mapping[str, float], axes: Mapping[str, Axis]) -> str:
+    """Return a phrase that names the axes that were off their count by more than a step; empty if there are none."""
+    return _told(
+        {
+            name: lost
+            for name, lost in lost_deg.items()
+            if name in axes and abs(lost) > axes[name].step_deg + ANGLE_TOLERANCE_DEG
+        }
+    )
+
+
+def confirm(journal: Journal, homings: Homings, axes: Mapping[str, Axis]) -> dict[str, str]:
+    """Remove the marks of photographs after which no step was lost, and return those that are in doubt.
+
+    Returns
+    -------
+    dict
+        {file: what was found out about the steps after the homing before it}.
+
+    Raises
+    ------
+    DeviceError
+    """
+    verdicts = {file: homings.verdict(homing) for file, homing in journal.unchecked.items()}
+    found = {file: v.alarm or off_their_count(v.lost_deg, axes) for file, v in verdicts.items() if v is not None}
+    if sound := [file for file, off in found.items() if not off]:
+        journal.checked(sound)
+    return {file: off for file, off in found.items() if off}
 
 
 class Session:
@@ -196,13 +227,13 @@ class Session:
             self._series = self._recalled(planned, missing)
             for number, shot in enumerate(track(missing, f"capture {label}"), 1):
                 self._take_in_turn(shot, planned)
-                if number % _PHOTOGRAPHS_PER_SEARCH == 0:
-                    self._hold_against_switches(tries)
+                if number % _PHOTOGRAPHS_PER_SEARCH == 0 and number < len(missing):
+                    self._look_for_lost_steps(tries)
             if self._dialogue.watched:
                 # Otherwise the command would end before the person has seen the last photograph. Photographs that are
                 # taken again here are still checked for lost steps.
                 self._take_in_turn(None, planned)
-            self._hold_against_switches(tries)
+            self._look_for_lost_steps(tries)
             missing = self.journal.missing(planned)
         self.journal.finish(planned)
         self.tally.seconds = time.monotonic() - begun
@@ -212,7 +243,7 @@ class Session:
         """Home a rig with an unknown position; check any other for steps lost since it was homed.
 
         Photographs of interrupted sittings, after which the rig was not compared with its limit switches, are in doubt
-        if it has lost steps. If it can tell no more, because it has restarted since, they are kept, and named.
+        if it is found to have lost steps after them, by whatever command.
 
         Returns
         -------
@@ -223,32 +254,29 @@ class Session:
         ------
         DeviceError
         """
-        unchecked = self.journal.unchecked
+        were_set_aside = self._judge(rig, 1)
+        if rig.cannot_recount:
+            LOGGER.info("lost steps are not looked for: %s", rig.cannot_recount)
         if not rig.status().homed:
             LOGGER.info("%s: homing the rig", label)
             rig.home()
-            if unchecked:
-                found = "the rig lost its count of steps after %d photographs; whether it skipped any is not known: %s"
-                LOGGER.warning(found, len(unchecked), ", ".join(unchecked))
-                self.journal.lose_count()
-            return False
-        if rig.cannot_recount or not any(motor_targets(shot, rig.axes) for shot in self.journal.shots.values()):
-            return False
-        if unchecked:
-            return self._hold_against_switches(1)
-        check = PositionCheck(0, rig.recount())
-        self.position.append(check)
-        if off := self._off(rig, check):
-            LOGGER.warning("%s: the rig was moved by hand, or has lost steps between two sittings; it is homed", off)
-        return False
+            return were_set_aside
+        if rig.cannot_recount:
+            return were_set_aside
+        if not rig.homings.current:
+            rig.homings.begin()  # it was homed by another program, or the record of its homings was removed
+        if self._look_for_lost_steps(1):
+            return True
+        if not self.position and any(motor_targets(shot, rig.axes) for shot in self.journal.shots.values()):
+            self.position.append(check := PositionCheck(0, rig.recount()))
+            if off := off_their_count(check.lost_deg, rig.axes):
+                LOGGER.warning(
+                    "%s: the rig was moved by hand, or has lost steps between two sittings; it is homed", off
+                )
+        return were_set_aside
 
-    @staticmethod
-    def _off(rig: RigDevice, check: PositionCheck) -> str:
-        """Return a phrase that names the axes with a deviation of more than a step; empty if there are none."""
-        return check.beyond({name: axis.step_deg for name, axis in rig.axes.items()})
-
-    def _hold_against_switches(self, times: int) -> bool:
-        """Check whether the rig has lost steps since photographs were taken; if so, see `_in_doubt`.
+    def _look_for_lost_steps(self, times: int) -> bool:
+        """Compare the rig with its limit switches if photographs were taken since it was homed; see `_in_doubt`.
 
         Returns
         -------
@@ -262,22 +290,21 @@ class Session:
         DeviceError
             For a fault of the rig, or if the person stops.
         """
-        if self.rig is None:
+        rig = self.rig
+        if rig is None or rig.cannot_recount:
             return False
-        if self.rig.cannot_recount:
-            LOGGER.info("lost steps are not looked for: %s", self.rig.cannot_recount)
-            return False
-        placed = self.journal.unchecked
+        placed = [file for file, homing in self.journal.unchecked.items() if homing == rig.homings.current]
         if not placed:
             return False
-        check = PositionCheck(len(placed), self.rig.recount())
-        self.position.append(check)
+        self.position.append(check := PositionCheck(len(placed), rig.recount()))
         self._stands = {}
         LOGGER.info("%s", check)
-        if off := self._off(self.rig, check):
-            return self._in_doubt(placed, f"{off}: steps were lost", times)
-        self.journal.checked()
-        return False
+        return self._judge(rig, times)
+
+    def _judge(self, rig: RigDevice, times: int) -> bool:
+        """Judge photographs by what was found out about lost steps; return whether any were set aside."""
+        doubtful = confirm(self.journal, rig.homings, rig.axes)
+        return bool(doubtful) and self._in_doubt(list(doubtful), ", ".join(dict.fromkeys(doubtful.values())), times)
 
     def _in_doubt(self, files: Sequence[str], why: str, times: int) -> bool:
         """Set photographs aside that may show other poses than their names state, unless a person keeps them.
@@ -292,23 +319,27 @@ class Session:
         PositionError
             If no person can be asked and the photographs were already taken again.
         """
-        self.tally.doubted += len(files)
-        found = f"{why}, and {len(files)} photographs since the rig was homed are in doubt: {', '.join(files)}"
+        found = f"{why}: steps were lost, and {len(files)} photographs since the rig was homed are in doubt: "
+        found += ", ".join(files)
         reason = ""
         if self._hand.operator.attended:
+            # Whatever prevents the answer, the next sitting asks again: the rig's record of homings has what was found.
             reason = " ".join(self._hand.operator.judge(f"{self.journal.table}: {found}").split())
+        self.tally.doubted += len(files)
         if reason:
             self.journal.accept(files, reason)
-            self.journal.checked()
+            self.journal.checked(files)
             self.tally.accepted += len(files)
             return False
         for file in files:
             self._series.forget(self.journal.shots[file])
-        own = len(self._own.intersection(files))
-        self.tally.taken -= own
-        self.tally.kept -= len(files) - own
+        self.drift = [frame for frame in self.drift if frame.file not in files]
+        earlier = len(files) - len(self._own.intersection(files))
+        kept = min(self.tally.kept, earlier)
+        self.tally.taken -= len(files) - earlier
+        self.tally.kept, self.tally.adopted = self.tally.kept - kept, self.tally.adopted - (earlier - kept)
         self.journal.drop(files, "doubtful")
-        self.journal.checked()
+        self.journal.checked(files)
         if not self._hand.operator.attended and times >= _UNATTENDED_TRIES:
             raise PositionError(f"{found}; they are set aside: look at speed, current and friction, and start again")
         LOGGER.warning("%s; they are set aside, and taken once more", found)
@@ -418,9 +449,8 @@ class Session:
             try:
                 self.rig.move(targets)
             except AlarmError as alarm:
-                # Between soft limits a switch closes, as a rule, because the axis is elsewhere than it was counted.
-                if unchecked := self.journal.unchecked:
-                    self._in_doubt(unchecked, f"{alarm}: steps may have been lost", 1)
+                if alarm.of_switch and not self.rig.cannot_recount:
+                    self.rig.homings.conclude(Verdict({}, str(alarm)))
                 raise
             if targets != self._stands:
                 self._stands, self._settled_at = targets, time.monotonic() + self._settle_s
@@ -431,6 +461,8 @@ class Session:
         temporary = path.with_name(_TEMPORARY + path.name)
         try:
             taken, digest = self._photograph(shot, path, temporary)
+            if self.rig is not None and targets and not self.rig.cannot_recount:
+                self.journal.leave_unchecked(shot.file, self.rig.homings.current)
             with storing(path):
                 _sync(temporary)
                 if shot.file in self.journal.shots:
@@ -440,8 +472,6 @@ class Session:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        if self.rig is not None and targets and not self.rig.cannot_recount:
-            self.journal.leave_unchecked(shot.file)
         self.journal.append(replace(shot, taken=taken), digest)
         self._own.add(shot.file)
         self.tally.taken += 1

@@ -10,10 +10,10 @@ from irodori.capture.camera.gphoto_camera import RAW_SUFFIXES, GphotoCamera
 from irodori.capture.dialogue import Dialogue
 from irodori.capture.journal import RETIRED, UNCHECKED, Journal, claimed, storing
 from irodori.capture.operator import AutoOperator, Operator, Step, make_operator
-from irodori.capture.rig.connect import open_rig, true_position_deg
+from irodori.capture.rig.connect import homings_of, open_rig, true_position_deg
 from irodori.capture.rig.devices import Axis, CameraDevice, RigDevice
 from irodori.capture.rig.drives import drives_of
-from irodori.capture.session import Session, take_stock
+from irodori.capture.session import Session, confirm, take_stock
 from irodori.capture.shot_list import camera_shots, object_shots, shots_without_rig, with_drift_frames
 from irodori.capture.shot_order import Estimate, estimate_s, order_shots
 from irodori.config.capture_table import Shot
@@ -122,7 +122,7 @@ def _equipment(
 ) -> Iterator[tuple[RigDevice | None, CameraDevice, Operator]]:
     """Open the rig, the camera and the operator of a session."""
     rig = target.rig
-    moved = open_rig(rig) if on_rig and rig.motion else nullcontext()
+    moved = open_rig(rig, name=target.rig_name) if on_rig and rig.motion else nullcontext()
     with moved as opened:
         folder = Path("results/rig") / target.rig_name
         if not target.is_virtual:
@@ -199,7 +199,8 @@ def photograph(
         missing = journal.missing(planned)
         needs = target.estimate(missing)
         LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
-        if missing or journal.unchecked:
+        open_ends = _open_ends(journal, target) if on_rig else []
+        if missing or open_ends:
             with _equipment(target, planned, subject, on_rig, dialogue) as (rig, camera, operator):
                 session = Session(
                     camera,
@@ -216,6 +217,9 @@ def photograph(
                 status, drift = camera.status(), [frame.plain() for frame in session.drift]
                 position += [check.plain() for check in session.position]
         journal.finish(planned)
+        if never := list(journal.unchecked):
+            found = "%s: the rig lost its count of steps after %d photographs; whether it skipped any is not known: %s"
+            LOGGER.warning(found, table, len(never), ", ".join(never))
         LOGGER.info("%s: %s", target.name, ", ".join(f"{key} {value:g}" for key, value in vars(tally).items()))
         content = {
             "photographs": len(planned),
@@ -224,12 +228,22 @@ def photograph(
             "camera": status,
             "drift": drift,
             "position": position,
-            "never_checked": journal.never_checked,
+            "never_checked": never,
         }
         # Snakemake deletes its own record before each job; that of a session at a real rig is kept beside the table.
         for path in {kept_record, Path(record)}:
             _write_record(path, content)
         return {str(folder / file): sha256 for file, sha256 in journal.sha256.items()}
+
+
+def _open_ends(journal: Journal, target: Target) -> list[str]:
+    """Return photographs that are in doubt, or whose angles the rig may still confirm."""
+    motion = target.rig.motion
+    if motion is None or not motion.homing:
+        return []
+    homings = homings_of(target.rig_name, target.rig)
+    doubtful = confirm(journal, homings, target.axes())
+    return [*doubtful, *(file for file, homing in journal.unchecked.items() if homing == homings.current)]
 
 
 def _start_over_if_changed(table: Path, record: Path, provenance: Provenance) -> None:
@@ -251,7 +265,7 @@ def _start_over_if_changed(table: Path, record: Path, provenance: Provenance) ->
             table,
             record,
             table.with_name(RETIRED),
-            table.with_name(UNCHECKED),
+            table.with_name(f"{table.stem}{UNCHECKED}"),
             *table.parent.glob(f"*{VirtualCamera.suffix}"),
         ):
             path.unlink(missing_ok=True)

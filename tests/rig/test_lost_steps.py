@@ -14,6 +14,7 @@ from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
 from irodori.capture.rig.devices import AlarmError, CommandError, DeviceError, LinkError, SettingError
 from irodori.capture.rig.grbl.protocol import FIRMWARES, FLUIDNC, GRBLHAL
+from irodori.capture.rig.homings import Homings, Verdict
 from irodori.capture.session import PositionError, Session, take_stock
 from irodori.config.capture_table import Pose, Shot, read_captures
 
@@ -21,7 +22,13 @@ NAMES = ("camera_deg", "turn_deg")
 
 
 @pytest.fixture
-def ready(monkeypatch):
+def record(tmp_path_factory):
+    """Return the path of the record of a rig's homings."""
+    return tmp_path_factory.mktemp("rig") / "homings.jsonl"
+
+
+@pytest.fixture
+def ready(monkeypatch, record):
     """Return a function that homes a rig on a simulated controller, away from its switches."""
 
     def start(firmware=FIRMWARES[0], **settings):
@@ -29,6 +36,7 @@ def ready(monkeypatch):
         bench = bench_of(rig, monkeypatch, firmware=firmware)
         bench.machine.settings |= {int(key.removeprefix("S")): value for key, value in settings.items()}
         driver = opened(rig, bench)
+        driver.homings = Homings(record)
         driver.home()
         driver.move({"camera_deg": 50.0, "turn_deg": 100.0})
         return driver, bench
@@ -232,14 +240,14 @@ PLANNED = [Shot(f"{angle:g}.dng", "object", Pose(45.0, angle), "out", 0.02) for 
 class Slipping(QuickCamera):
     """Its motor slips by half a degree after the photographs of these numbers."""
 
-    def __init__(self, bench, after) -> None:
+    def __init__(self, bench, after, by=1.0) -> None:
         super().__init__()
-        self.bench, self.after = bench, after
+        self.bench, self.after, self.by = bench, after, by
 
     def capture(self, shot, path):
         super().capture(shot, path)
         if len(self.taken) in self.after:
-            self.bench.machine.slip(1.0)
+            self.bench.machine.slip(self.by)
 
 
 def sitting(folder, rig, camera, operator=None, dialogue=None):
@@ -289,9 +297,9 @@ def test_steps_lost_twice_stop_the_sitting_with_the_photographs_in_doubt(tmp_pat
     assert_whole(tmp_path, PLANNED)
 
 
-def broken_off(folder, bench, rig, fault) -> None:
+def broken_off(folder, bench, rig, fault, slip=1.0) -> None:
     """A sitting that loses half a degree after its first photograph, and ends at its third."""
-    camera = Slipping(bench, (1,))
+    camera = Slipping(bench, (1,), slip)
     camera.faults = [None, None, fault]
     with pytest.raises(type(fault)):
         sitting(folder, rig, camera)
@@ -309,56 +317,136 @@ def test_a_sitting_that_was_broken_off_is_held_against_the_switches_by_the_next(
     assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 2
 
 
+class Meeting(QuickCamera):
+    """The axis meets its limit switch on its way from the second photograph to the third."""
+
+    def __init__(self, bench, code=1) -> None:
+        super().__init__()
+        self.bench, self.code = bench, code
+
+    def capture(self, shot, path):
+        super().capture(shot, path)
+        if len(self.taken) == 2:
+            self.bench.on_the_way = self.meet
+
+    def meet(self, data):
+        if b"G1X" in data:
+            self.bench.on_the_way = bytes
+            self.bench.machine.raise_alarm(self.code)
+        return data
+
+
+class Person(AutoOperator):
+    """A person who answers the question whether photographs are to be kept; an exception prevents the answer."""
+
+    attended = True
+
+    def __init__(self, answer) -> None:
+        super().__init__(dict)
+        self.answer, self.asked = answer, []
+
+    def judge(self, doubt):
+        self.asked.append(doubt)
+        if isinstance(self.answer, BaseException):
+            raise self.answer
+        return self.answer
+
+
 @pytest.mark.parametrize("reason", ["", "the arm was watched"])
 def test_photographs_before_the_alarm_of_a_switch_are_in_doubt(tmp_path, ready, reason):
     """An axis that has lost steps meets its switch inside its soft limits."""
-
-    class Person(AutoOperator):
-        attended = True
-
-        def judge(self, doubt):
-            assert "ALARM:1" in doubt and "10.dng, 40.dng" in doubt
-            return reason
-
-    class Arriving(QuickCamera):
-        def capture(self, shot, path):
-            super().capture(shot, path)
-            if len(self.taken) == 2:
-                bench.on_the_way = meet
-
-    def meet(data):
-        if b"G1X" in data:
-            bench.on_the_way = bytes
-            bench.machine.raise_alarm(1)
-        return data
-
     rig, bench = ready()
-    with pytest.raises(AlarmError):
-        sitting(tmp_path, rig, Arriving(), Person(dict))
-    kept = Journal(tmp_path / "captures.csv").shots.values()
-    assert [(shot.file, shot.taken.accepted) for shot in kept] == [(f, reason) for f in ("10.dng", "40.dng") if reason]
+    with pytest.raises(AlarmError, match="ALARM:1"):
+        sitting(tmp_path, rig, Meeting(bench))
+    person = Person(reason)
+    session = sitting(tmp_path, rig, QuickCamera(), person)
+    assert len(person.asked) == 1 and "ALARM:1" in person.asked[0] and "10.dng, 40.dng" in person.asked[0]
+    kept = [shot.taken.accepted for shot in read_captures(tmp_path / "captures.csv", tmp_path)]
+    assert kept == [reason, reason, ""] and session.tally.taken == (1 if reason else 3)
     assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == (0 if reason else 2)
+    assert_whole(tmp_path, PLANNED)
+    assert session.journal.unchecked == {}
+
+
+def test_an_alarm_for_another_reason_puts_no_photograph_in_doubt(tmp_path, ready):
+    """An emergency stop (ALARM:3) says nothing about the angles before it; the count is lost all the same."""
+    rig, bench = ready()
+    with pytest.raises(AlarmError, match="ALARM:3"):
+        sitting(tmp_path, rig, Meeting(bench, 3))
     session = sitting(tmp_path, rig, QuickCamera())
-    assert session.tally.taken == (1 if reason else 3) and session.journal.never_checked == []
+    assert session.tally.kept == 2 and list(session.journal.unchecked) == ["10.dng", "40.dng"]
+
+
+@pytest.mark.parametrize("prevented", [KeyboardInterrupt(), DeviceError("nobody answered in time")])
+def test_a_question_without_an_answer_is_asked_again(tmp_path, ready, prevented):
+    """The search for lost steps homes the rig, so that a second one would find nothing."""
+    rig, bench = ready()
+    with pytest.raises(type(prevented)):
+        sitting(tmp_path, rig, Slipping(bench, (2,)), Person(prevented))
+    person = Person("")
+    session = sitting(tmp_path, rig, QuickCamera(), person)
+    assert len(person.asked) == 1 and re.search(r"-0\.(5|49\d) degrees.*10\.dng, 40\.dng, 70\.dng", person.asked[0])
+    assert session.tally.taken == 3
     assert_whole(tmp_path, PLANNED)
 
 
-def test_photographs_before_a_restart_of_the_board_are_kept_and_named(tmp_path, ready, caplog):
+@pytest.mark.parametrize("lost_deg", [0.0, 0.5])
+@pytest.mark.parametrize("by", ["recount", "another object"])
+def test_what_another_command_finds_out_about_the_rig_holds_for_the_photographs_before_it(
+    tmp_path, ready, record, by, lost_deg
+):
+    rig, bench = ready()
+    broken_off(tmp_path, bench, rig, DeviceError("its battery is empty"), 2.0 * lost_deg)
+    again = opened(rig_of("grbl"), bench)
+    again.homings = Homings(record)
+    if by == "recount":
+        again.recount()
+    else:
+        (tmp_path / "other").mkdir()
+        for _ in range(2):
+            sitting(tmp_path / "other", again, QuickCamera())
+    again.homings = Homings(record)
+    session = sitting(tmp_path, again, QuickCamera())
+    assert session.tally.taken == (3 if lost_deg else 1) and session.journal.unchecked == {}
+    assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == (2 if lost_deg else 0)
+
+
+@pytest.mark.parametrize("by", ["restart", "home"])
+def test_photographs_before_the_count_was_lost_are_kept_and_named(tmp_path, ready, record, by):
     """An Arduino restarts when its port is opened: a session that is killed or stopped goes on nevertheless."""
     rig, bench = ready()
     broken_off(tmp_path, bench, rig, DeviceError("its battery is empty"))
-    bench.machine.power_up()
-    session = sitting(tmp_path, opened(rig_of("grbl"), bench), QuickCamera())
+    if by == "restart":
+        bench.machine.power_up()
+        rig = opened(rig_of("grbl"), bench)
+        rig.homings = Homings(record)
+    else:
+        rig.home()
+    session = sitting(tmp_path, rig, QuickCamera())
     assert session.tally.taken == 1 and session.tally.kept == 2
-    assert "whether it skipped any is not known: 10.dng, 40.dng" in caplog.text
-    assert [check.photographs for check in session.position] == [1]
-    assert session.journal.unchecked == [] and session.journal.never_checked == ["10.dng", "40.dng"]
-    caplog.clear()
+    assert [check.photographs for check in session.position if check.photographs] == [1]
+    assert list(session.journal.unchecked) == ["10.dng", "40.dng"]
     # A photograph that is taken again is checked.
     session.journal.drop(["10.dng"], "retaken")
     session = sitting(tmp_path, rig, QuickCamera())
-    assert session.tally.taken == 1 and session.journal.never_checked == ["40.dng"]
-    assert "not known" not in caplog.text
+    assert session.tally.taken == 1 and list(session.journal.unchecked) == ["40.dng"]
+
+
+def test_half_a_line_of_a_power_cut_takes_no_other_with_it(tmp_path, record):
+    journal, homings = Journal(tmp_path / "jar.csv"), Homings(record)
+    homings.begin()
+    first = homings.current
+    with open(record, "a") as torn, open(tmp_path / "jar-unchecked.txt", "w") as cut:
+        torn.write('{"homing": "20')
+        cut.write("2026-11-30T10:00 a.d")
+    homings.conclude(Verdict({"camera_deg": -0.5}))
+    homings.begin()
+    assert Homings(record).current == homings.current != first
+    assert Homings(record).verdict(first) == Verdict({"camera_deg": -0.5})
+    assert Homings(record).verdict(homings.current) is None
+    journal.leave_unchecked("b c.dng", first)
+    journal.shots["b c.dng"] = PLANNED[0]
+    assert journal.unchecked == {"b c.dng": first}
 
 
 def test_the_search_that_a_lost_line_prevented_is_made_before_the_session_is_complete(tmp_path, ready, monkeypatch):
@@ -368,6 +456,7 @@ def test_the_search_that_a_lost_line_prevented_is_made_before_the_session_is_com
     def session(camera):
         monkeypatch.setattr(stage, "_equipment", lambda *_: nullcontext((rig, camera, AutoOperator(dict))))
         monkeypatch.setattr(stage, "_start_over_if_changed", lambda *_: None)
+        monkeypatch.setattr(stage, "homings_of", lambda *_: rig.homings)
         stage.photograph(PLANNED, aim, None, tmp_path / "session.json", MADE, owner="object plate")
         return json.loads((tmp_path / "session.json").read_text())
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from irodori.capture.rig.ascii_description import Description
@@ -10,6 +11,7 @@ from irodori.capture.rig.devices import Link, RigDevice, SettingError
 from irodori.capture.rig.drives import Drive, drives_of
 from irodori.capture.rig.grbl.driver import GrblRig
 from irodori.capture.rig.grbl.settings_check import ACCELERATION, RATE, STEPS, TRAVEL, number
+from irodori.capture.rig.homings import Homings
 from irodori.capture.rig.serial_link import SerialLink
 from irodori.config.models import Motion, Rig
 
@@ -33,7 +35,7 @@ def _description(motion: Motion) -> Description:
 
 
 @contextmanager
-def open_rig(rig: Rig, checked: bool = True) -> Iterator[RigDevice]:
+def open_rig(rig: Rig, checked: bool = True, name: str = "") -> Iterator[RigDevice]:
     """Open the rig of a definition; stop it on an exception, and close its connection at the end.
 
     Parameters
@@ -42,6 +44,8 @@ def open_rig(rig: Rig, checked: bool = True) -> Iterator[RigDevice]:
         With the block ``motion``. The port ``simulator`` starts a simulated controller.
     checked : bool
         Whether a controller with settings that contradict the definition is refused; see `GrblRig`.
+    name : str
+        Name of the rig, under which its homings are recorded; without it, or if it is simulated, they are forgotten.
 
     Yields
     ------
@@ -66,7 +70,14 @@ def open_rig(rig: Rig, checked: bool = True) -> Iterator[RigDevice]:
         stack.callback(link.close)
         opened = _DRIVERS[motion.protocol](link, drives_of(rig), motion, checked)
         opened.simulator = simulator
+        opened.homings = homings_of(name, rig)
         yield stack.enter_context(opened)
+
+
+def homings_of(name: str, rig: Rig) -> Homings:
+    """Return the record of a rig's homings; one that is not stored for a simulated rig, or without its name."""
+    stored = name and rig.motion and rig.motion.port != SIMULATOR
+    return Homings(Path("results/rig") / name / "homings.jsonl" if stored else None)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from irodori.capture.rig.deadline import Deadline
 from irodori.capture.rig.devices import AlarmError, Axis, CommandError, DeadlineError, DeviceError, HeldError, RigDevice
 from irodori.capture.rig.drives import Drive
+from irodori.capture.rig.homings import Homings
 
 POLL_S = 0.03
 #: Time after the acceptance of a command in which the controller may still report that it is idle, s.
@@ -40,6 +41,7 @@ class ControlledRig(RigDevice):
     def __init__(self, drives: Mapping[str, Drive], timeout_s: float, homing: bool) -> None:
         self.axes: Mapping[str, Axis] = {name: drive.axis for name, drive in drives.items()}
         self.drives, self._timeout_s, self._homing = dict(drives), timeout_s, homing
+        self.homings = Homings()
         self._brake_s = max((d.speed / d.acceleration for d in drives.values()), default=0.0)
         #: Whether the last stop was answered; if not, the next command first stops the rig.
         self._in_step = self._homed = False
@@ -94,6 +96,7 @@ class ControlledRig(RigDevice):
             raise CommandError("this rig has no limit switches (motion.homing is false): it cannot be homed")
         with self._stopping_on_failure():
             self._homed = False
+            self.homings.begin()
             self._find_switches()
             self._homed = True
 

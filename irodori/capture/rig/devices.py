@@ -16,6 +16,7 @@ from irodori.core.errors import PlainError
 
 if TYPE_CHECKING:
     from irodori.capture.rig.drives import Drive
+    from irodori.capture.rig.homings import Homings
     from irodori.config.capture_table import Shot
     from irodori.simulation.controllers.peer_client import Simulator
 
@@ -45,7 +46,18 @@ class DeadlineError(DeviceError):
 
 
 class AlarmError(DeviceError):
-    """Error for a controller that stopped by an alarm and may have lost its position: home it before anything else."""
+    """Error for a controller that stopped by an alarm and may have lost its position: home it before anything else.
+
+    Parameters
+    ----------
+    message : str
+    of_switch : bool
+        Whether an axis met its limit switch. Between soft limits it does, as a rule, because it has lost steps.
+    """
+
+    def __init__(self, message: str, of_switch: bool = False) -> None:
+        super().__init__(message)
+        self.of_switch = of_switch
 
 
 class CommandError(DeviceError):
@@ -152,6 +164,8 @@ class RigDevice(ABC):
     axes: Mapping[str, Axis]
     #: Drive of each axis.
     drives: "Mapping[str, Drive]"
+    #: Record of the rig's homings.
+    homings: "Homings"
     #: Handle on the simulated controller, None for a real one; see `irodori.capture.rig.connect`.
     simulator: "Simulator | None" = None
     #: Called with a request for the person when a move meets a feed hold: returns once the rig may resume, raises an

@@ -97,6 +97,10 @@ def error_text(code: int) -> str:
     return f"error:{code} ({ERRORS.get(code, 'a code that Grbl 1.1 does not publish')})"
 
 
+#: Code of the alarm of a limit switch.
+HARD_LIMIT = 1
+
+
 def alarm_text(code: int) -> str:
     """Return an alarm code with its meaning, such as ``ALARM:1 (a limit switch was hit ...)``."""
     return f"ALARM:{code} ({ALARMS.get(code, 'a code that Grbl 1.1 does not publish')})"

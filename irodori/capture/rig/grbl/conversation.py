@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 from irodori.capture.rig.deadline import Deadline
 from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, GarbledError, Link
-from irodori.capture.rig.grbl.codes import alarm_text, error_text
+from irodori.capture.rig.grbl.codes import HARD_LIMIT, alarm_text, error_text
 from irodori.capture.rig.grbl.protocol import (
     GRBL,
     LINE_BYTES,
@@ -313,7 +313,7 @@ class Conversation:
 
     @staticmethod
     def _stopped(code: int) -> AlarmError:
-        return AlarmError(f"the controller stopped on its own: {alarm_text(code)}; {HOW_TO_CLEAR}")
+        return AlarmError(f"the controller stopped on its own: {alarm_text(code)}; {HOW_TO_CLEAR}", code == HARD_LIMIT)
 
     @staticmethod
     def _refuse(line: str, message: Message) -> None:
@@ -321,6 +321,7 @@ class Conversation:
         if isinstance(message, Error):
             raise CommandError(f"the controller refused {line!r}: {error_text(message.code)}")
         if isinstance(message, Alarm):
-            raise AlarmError(f"the controller stopped during {line!r}: {alarm_text(message.code)}; home it")
+            why = f"the controller stopped during {line!r}: {alarm_text(message.code)}; home it"
+            raise AlarmError(why, message.code == HARD_LIMIT)
         if isinstance(message, Banner):
             raise AlarmError(RESTARTED)

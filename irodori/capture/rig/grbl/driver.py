@@ -22,7 +22,7 @@ from irodori.capture.rig.devices import (
     SettingError,
 )
 from irodori.capture.rig.drives import Drive, along, straight_s
-from irodori.capture.rig.grbl.codes import alarm_text
+from irodori.capture.rig.grbl.codes import HARD_LIMIT, alarm_text
 from irodori.capture.rig.grbl.conversation import HOW_TO_CLEAR, RESTARTED, Conversation
 from irodori.capture.rig.grbl.protocol import (
     FLUIDNC,
@@ -51,6 +51,7 @@ from irodori.capture.rig.grbl.settings_check import (
     number,
     switch_position,
 )
+from irodori.capture.rig.homings import Verdict
 from irodori.core.progress import LOGGER
 
 #: Interval between questions to a controller that may still be starting, s.
@@ -66,7 +67,7 @@ _JOG_LIMITED, _ROTARY = 40, 376
 #: Keys of each axis in FluidNC's own file that are switched off during the search for a limit switch.
 _FLUIDNC_LIMITS = ("motor0/hard_limits", "soft_limits")
 #: The alarm of a limit switch, and the number of tries if it is not the axis's own switch.
-_HARD_LIMIT, _TRIES = 1, 3
+_TRIES = 3
 _SILENT = "it said nothing until it was reset, as after ALARM:1 or ALARM:2 (a limit switch, a target out of travel)"
 _NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,6})?", re.ASCII)
 #: Tool word of Grbl's modal state, into which the mark of homing is written, and its largest number.
@@ -306,6 +307,7 @@ class GrblRig(ControlledRig):
                 LOGGER.warning("the board was left without its limits: before it moves again, %s", left_off)
             raise
         self._put_limits(limits)
+        self.homings.conclude(Verdict(found))
         self.home()
         return found
 
@@ -379,7 +381,7 @@ class GrblRig(ControlledRig):
                 arrival = self._send(jog_line({drive.channel: target}, speed * 60.0), places, arrival)
                 self._await_arrival([places, {**places, name: target}], arrival)
             except AlarmError:
-                if self._talk.alarm != _HARD_LIMIT:
+                if self._talk.alarm != HARD_LIMIT:
                     raise
                 self._talk.soft_reset()
                 report = self._talk.ask_report()
@@ -557,7 +559,8 @@ class GrblRig(ControlledRig):
             raise AlarmError(RESTARTED)
         if self._talk.alarm is not None and (report is None or report.state == "Alarm"):
             self._homed = False
-            raise AlarmError(f"the controller stopped on its own: {alarm_text(self._talk.alarm)}; {HOW_TO_CLEAR}")
+            why = f"the controller stopped on its own: {alarm_text(self._talk.alarm)}; {HOW_TO_CLEAR}"
+            raise AlarmError(why, self._talk.alarm == HARD_LIMIT)
         if report is not None and report.state == "Alarm":
             self._homed = False
             raise AlarmError("the controller is locked, as it is after switching on or an alarm: home it first")

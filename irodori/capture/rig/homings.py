@@ -1,0 +1,96 @@
+"""Record of a rig's homings, and of what was found out about lost steps after each."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from irodori.capture.rig.devices import DeviceError
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was found out about the steps that a rig lost after a homing.
+
+    Parameters
+    ----------
+    lost_deg : dict
+        {axis: true angle minus the counted one, degrees}, of a comparison with the limit switches; empty without one.
+    alarm : str
+        Message of the controller when an axis met its switch in a move; empty without one.
+    """
+
+    lost_deg: Mapping[str, float]
+    alarm: str = ""
+
+
+class Homings:
+    """Record of the homings of one rig, by whatever command, so that each session knows which one its count is of.
+
+    Each line of the file is JSON: ``{"homing": ID}`` when a homing begins, and ``{"homing": ID, "lost_deg": {…}}`` or
+    ``{"homing": ID, "alarm": "…"}`` when it is known what became of the count after it.
+
+    Parameters
+    ----------
+    path : path, optional
+        By default nothing is stored, as for a simulated controller, which ends with its process.
+
+    Raises
+    ------
+    DeviceError
+        From all methods, if the file cannot be read or written.
+    """
+
+    def __init__(self, path=None) -> None:
+        self._path = None if path is None else Path(path)
+        self._lines: list[dict] = []
+        if self._path is not None and self._path.exists():
+            try:
+                text = self._path.read_text(encoding="utf-8", errors="replace")
+            except OSError as error:
+                raise DeviceError(f"{self._path}: cannot be read: {error.strerror}") from None
+            self._lines = [found for line in text.splitlines() if (found := _read(line)) is not None]
+
+    @property
+    def current(self) -> str:
+        """ID of the last homing; empty if there was none."""
+        return self._lines[-1]["homing"] if self._lines else ""
+
+    def begin(self) -> None:
+        """Record that the rig is about to be homed: its present count ends here."""
+        self._append({"homing": datetime.now(UTC).isoformat()})
+
+    def conclude(self, verdict: Verdict) -> None:
+        """Record what was found out about the steps lost since the last homing, before anything else happens."""
+        found = {"alarm": verdict.alarm} if verdict.alarm else {"lost_deg": dict(verdict.lost_deg)}
+        self._append({"homing": self.current, **found})
+
+    def verdict(self, homing: str) -> Verdict | None:
+        """Return what was found out about a homing, the first finding if there are several; None if nothing was."""
+        for line in self._lines:
+            if line["homing"] == homing and len(line) > 1:
+                return Verdict(line.get("lost_deg", {}), line.get("alarm", ""))
+        return None
+
+    def _append(self, line: dict) -> None:
+        self._lines.append(line)
+        if self._path is not None:
+            try:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                with open(self._path, "a", encoding="utf-8") as out:
+                    out.write(f"\n{json.dumps(line)}\n")  # on its own line, also after half of one
+                    out.flush()
+                    os.fsync(out.fileno())
+            except OSError as error:
+                raise DeviceError(f"{self._path}: cannot be stored: {error.strerror}") from None
+
+
+def _read(line: str) -> dict | None:
+    """Return a line of the file; None for half a line, as a power cut leaves it, and for an empty one."""
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) and isinstance(found.get("homing"), str) else None
