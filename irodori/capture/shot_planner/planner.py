@@ -107,9 +107,22 @@ class MaterialRange:
 
     def spread(self, count: int) -> Materials:
         """Return materials that fill the range evenly: a Halton sequence, which is always the same."""
-        from scipy.stats import qmc  # slow to import
+        return self.at(_halton(count))
 
-        return self.at(qmc.Halton(3, scramble=False).random(count + 1)[1:])
+
+def _halton(count: int) -> np.ndarray:
+    """Return the first points of the Halton sequence after the origin, (count, 3).
+
+    They are those of `scipy.stats.qmc.Halton`, whose package takes most of a second to import.
+    """
+    out = np.zeros((count, 3))
+    for column, base in enumerate((2, 3, 5)):
+        left, share = np.arange(1, count + 1), 1.0
+        while left.any():
+            share /= base
+            out[:, column] += share * (left % base)
+            left //= base
+    return out
 
 
 @dataclass(frozen=True)
