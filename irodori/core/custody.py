@@ -614,7 +614,9 @@ def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> in
             differs = True
             print(said)
         for path in chain.left_over:
-            print(f"{path}: left over: its inputs have changed since, and no present result was made from it; remove it")
+            print(
+                f"{path}: left over: its inputs have changed since, and no present result was made from it; remove it"
+            )
     except BrokenPipeError:  # nobody reads the output: `irodori.command_line` ends
         raise
     except (InputError, OSError) as error:
