@@ -10,7 +10,7 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from irodori import __version__
@@ -83,14 +83,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     SystemExit
         After ``--help`` and ``--version``, and with status 2 for arguments that are not accepted.
     """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    return ended_quietly(lambda: _run(given))
+
+
+def ended_quietly(command: Callable[[], int]) -> int:
+    """Run a command and return its exit status, or 141 if whoever read its output has gone.
+
+    The output is written out first. A process that was started without one, such as a daemon, has none.
+    """
     try:
         try:
-            return _run(list(sys.argv[1:] if arguments is None else arguments))
+            return command()
         finally:
-            sys.stdout.flush()
+            if sys.stdout is not None:
+                sys.stdout.flush()
     except BrokenPipeError:
         # The signal itself stays ignored: it would also end a session whose controller has gone, without its clean-up.
-        if not _is_unread(sys.stdout.fileno()):
+        if sys.stdout is None or not _is_unread(sys.stdout.fileno()):
             raise
         with open(os.devnull, "w") as nowhere:  # what is left of the output, when Python ends
             os.dup2(nowhere.fileno(), sys.stdout.fileno())

@@ -14,14 +14,13 @@ from irodori.capture.journal import storing
 from irodori.capture.page_server import Address, served
 from irodori.capture.session import verify
 from irodori.capture.shot_list import camera_shots, object_shots
-from irodori.capture.shot_planner.fisher_information import Weighting
-from irodori.capture.shot_planner.planner import Plan, default_noise, plan_best
+from irodori.capture.shot_planner.planner import Plan, as_fitted, plan_best
 from irodori.capture.stage import Target, capture_camera, capture_object
 from irodori.config.capture_table import LONGEST_S, Pose, Shot, read_captures
 from irodori.config.definition import as_plain, typed
 from irodori.config.definitions import load_one
 from irodori.config.loaded import Loaded
-from irodori.config.models import Camera, Config, Object, ObjectShape, PosePlan, Rig
+from irodori.config.models import Camera, Object, ObjectShape, PosePlan, Rig
 from irodori.config.parts import PlannedObject
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
@@ -65,17 +64,6 @@ def _target(options, loaded: Loaded | None = None) -> tuple[Target, Object | Non
     return target, definition
 
 
-def _as_fitted(config: Config, rig: Rig, definition: Object | None = None, camera: Camera | None = None) -> dict:
-    """Return the planner's options for noise, weights and largest angle, as the fit of the configuration has them."""
-    fit, sensor = config.fit, camera.virtual.sensor if camera and camera.virtual else None
-    exposures_s = definition.exposure_s.out if sensor and definition and definition.exposure_s else ()
-    return {
-        "noise": default_noise(rig, sensor, exposures_s, fit),
-        "weighting": Weighting(fit.weights, fit.model_error),
-        "max_angle_deg": config.rectify.max_angle_deg,
-    }
-
-
 def _of_shape(options) -> PlannedObject:
     """Return the definition for a plan of which only the shape is known (``--shape``)."""
     if options.camera:
@@ -112,7 +100,7 @@ def plan(options) -> None:
     if options.shape is not None:
         loaded, what = load_one("rigs", options.name), _of_shape(options)
         rig = by_hand(loaded.rigs[options.name])
-        print("\n".join(followed(_best(what, rig, options.best, _as_fitted(loaded.config, rig)), rig)))
+        print("\n".join(followed(_best(what, rig, options.best, as_fitted(loaded.config, rig)), rig)))
         return
     loaded = load_one("cameras" if options.camera else "objects", options.name, photographs=False)
     definition = None if options.camera else loaded.objects[options.name]
@@ -121,12 +109,12 @@ def plan(options) -> None:
     camera = None if definition is None else loaded.cameras[definition.camera]
     if definition is not None and camera is not None and loaded.rigs[camera.rig].kind == "files":
         rig = by_hand(loaded.rigs[camera.rig])
-        best = _best(definition, rig, options.best, _as_fitted(loaded.config, rig))
+        best = _best(definition, rig, options.best, as_fitted(loaded.config, rig))
         print("\n".join(followed(best, rig, _states(camera))))
         return
     target, definition = _target(options, loaded)
     if options.best is not None and definition is not None:
-        fitted = _as_fitted(loaded.config, target.rig, definition, target.camera)
+        fitted = as_fitted(loaded.config, target.rig, definition, target.camera)
         print("\n".join(_best(definition, target.rig, options.best, fitted).lines()))
         return
     if definition is None:

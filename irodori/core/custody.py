@@ -401,7 +401,7 @@ class Chain:
         self._top = _results_folder(self.folder) or self.folder.absolute()
         self.accepted: list[Path] = []
         self.removed: set[Path] = set()
-        #: Intermediate files of other versions of their inputs, from which no result was made.
+        #: Intermediate files of other versions of their inputs, from which no present result was made.
         self.left_over: list[Path] = []
         self._seen: set[Path] = set()
         #: Files that are missing or damaged, or in another's place: what was made from them is not to blame.
@@ -488,33 +488,43 @@ class Chain:
         return used
 
     def _is_left_over(self, path: Path) -> bool:
-        """Return whether a file is an intermediate one in no use, and an input has changed or is left over itself.
+        """Return whether no run makes an intermediate file again, although an input has changed since it was made.
 
-        Such is the linear picture of a pose that has another name now, or was taken out of the table.
+        Such is the linear picture of a pose that has another name now, or was taken out of the table, or what was made
+        from it. Present results were then made of other files of the set, from the inputs as they are now. A file is
+        not left over if there are no such results: they may be still to come, or were removed. Nor is it if an input is
+        gone.
         """
-        record = _readable_record(path)
-        if record is None or not _is_intermediate(path) or path in self._used:
+        if not _is_intermediate(path) or path in self._used:
             return False
-        behind = {name: self._place(name) for name in record.inputs}
-        return any(
-            (not _may_be_removed(file) and _present_sha256(file) != record.inputs[name]) or self._is_left_over(file)
-            for name, file in behind.items()
-        )
+        in_use = [_inputs_of(file) for file in self._used if file.parent.parent == path.parent.parent]
+        changed = False
+        for name, sha256 in _inputs_of(path).items():
+            file = self._place(name)
+            if _may_be_removed(file):
+                continue
+            present = _present_sha256(file)
+            if present is None or any(inputs.get(name, present) != present for inputs in in_use):
+                return False
+            changed = changed or present != sha256 or self._is_left_over(file)
+        return changed and bool(in_use)
 
     def _broken_before(self, path: Path) -> Iterator[str]:
         if path in self._seen:
             return
         self._seen.add(path)
-        if self._is_left_over(path):
-            self.left_over.append(path)
-            return
+        is_left_over = self._is_left_over(path)
         record = _readable_record(path)
         behind = {name: self._place(name) for name in record.inputs} if record else {}
         for file in behind.values():
             if _may_be_removed(file):
-                self.removed.add(file)
+                if not is_left_over:
+                    self.removed.add(file)
             elif _readable_record(file) is not None or (self._top in file.parents and _needs_record(file)):
                 yield from self._broken_before(file)
+        if is_left_over:
+            self.left_over.append(path)
+            return
         if (fault := self._fault(path, record)) is not None:
             self._wrong.add(path)
             yield str(fault)
@@ -567,6 +577,12 @@ def _readable_record(path: Path) -> Record | None:
         return None
 
 
+def _inputs_of(path: Path) -> Mapping[str, str]:
+    """Return {path: hash} of the recorded inputs of a file; empty if it has no readable record."""
+    record = _readable_record(path)
+    return record.inputs if record else {}
+
+
 def _present_sha256(path: Path) -> str | None:
     """Return the hash in a file's record, or that of the content of a file without; None if it cannot be read."""
     try:
@@ -580,7 +596,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> in
     """Compare every result with its recorded hash and with the files that it was made from, back to your own files.
 
     Everything that differs is printed, one line each, and the exit status is 1. Files that are left over from other
-    photographs or poses, from which no result is made, are listed too and change no status.
+    photographs or poses, from which no present result was made, are listed too and change no status.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("folder", nargs="?", help="the folder of results, or one in it")
@@ -598,7 +614,9 @@ def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> in
             differs = True
             print(said)
         for path in chain.left_over:
-            print(f"{path}: left over: its inputs have changed since, and no result was made from it; remove it")
+            print(
+                f"{path}: left over: its inputs have changed since, and no present result was made from it; remove it"
+            )
     except BrokenPipeError:  # nobody reads the output: `irodori.command_line` ends
         raise
     except (InputError, OSError) as error:

@@ -349,11 +349,12 @@ def diffuse_errors(rows, a, used, rules):
 
 @uncounted(error_model="numpy")
 def missed_gloss(fixed, sums, most_beta, a, variance):
-    """Return how much of the α of a texel that shows no gloss may be gloss that its observations do not tell from α.
+    """Return how much of the α of a texel without fitted gloss may be gloss that its observations do not tell from α.
 
     The largest over all μ, each with the best β and its standard error, but no more gloss than a surface can have, and
     no more than α. Observations far from the mirror direction, or all at the same angles, hardly tell it; those near
-    the mirror direction and beside it leave next to nothing.
+    the mirror direction and beside it leave next to nothing. Observations that clip show gloss, but not how much of it
+    is in the others, so that this holds for saturated texels too.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ class Status(IntEnum):
     AT_BOUND = 2
     TOO_FEW_OBSERVATIONS = 3
     NON_FINITE = 4  # too few observations, because those with weight are not finite
-    DIFFUSE_ONLY = 5  # the observations show no gloss; what they could have missed is in the error of α
+    DIFFUSE_ONLY = 5  # the observations show no gloss
     SATURATED = 6  # the camera clips where the highlight is
     DARK = 7  # no light beyond the noise
     PAINT = 8  # β and μ are mostly those of all texels of its paint, and agree with its own observations

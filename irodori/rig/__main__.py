@@ -1,5 +1,6 @@
 """Entry point of ``python -m irodori.rig``."""
 
 from irodori.capture.command import main
+from irodori.command_line import ended_quietly
 
-raise SystemExit(main())
+raise SystemExit(ended_quietly(main))

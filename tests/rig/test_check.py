@@ -15,11 +15,13 @@ from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
 from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import camera_shots, object_shots
-from irodori.capture.shot_planner.planner import plan_best
+from irodori.capture.shot_planner.fisher_information import Weighting
+from irodori.capture.shot_planner.planner import as_fitted, default_noise, plan_best
+from irodori.check import angles
 from irodori.check.angles import of_object, told_share
 from irodori.command_line import main
-from irodori.config.capture_table import Pose
-from irodori.config.models import Camera, Object, Rig
+from irodori.config.capture_table import Pose, expand_poses
+from irodori.config.models import Camera, MeshShape, Object, Rig
 from irodori.config.project import load_project
 from irodori.ingest.mosaic import decode
 from irodori.simulation.virtual_rig.bench import Bench
@@ -104,7 +106,7 @@ def test_photographs_of_one_set_of_angles_are_said_to_leave_gloss_open(project, 
     )
     loaded.objects["plate"] = replace(made(Object, plate), camera="own")
     (found,) = list(of_object(loaded, "plate"))
-    start = "config/objects/plate.yaml: poses: found 4 photographs with angles that tell gloss from colour in "
+    start = "config/objects/plate.yaml: poses: found 4 poses with angles that tell gloss from colour in "
     assert not found.is_error and found.text.startswith(start)
     assert "as `irodori plan plate --best 12` chooses them" in found.text
 
@@ -113,9 +115,51 @@ def test_poses_that_the_planner_chooses_tell_gloss(project, monkeypatch):
     monkeypatch.chdir(project)
     loaded = load_project([])
     plate = loaded.objects["plate"]
-    poses = plan_best(plate, loaded.rigs["table"], 8).poses
-    assert told_share(plate, loaded.rigs["table"], poses, loaded.config.fit) > 0.9
-    assert told_share(plate, loaded.rigs["table"], [Pose(45.0, 20.0)], loaded.config.fit) == 0.0
+    rig = loaded.rigs["table"]
+    fitted = as_fitted(loaded.config, rig)
+    poses = plan_best(plate, rig, 8, **fitted).poses
+    assert told_share(plate, rig, poses, fitted) > 0.9
+    assert told_share(plate, rig, [Pose(45.0, 20.0)], fitted) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("where", "change"),
+    [
+        ("rectify", {"max_angle_deg": 50.0}),
+        ("fit", {"model_error": 0.2}),
+        ("fit", {"weights": "equal"}),
+        ("sensor", {"full_well_e": 30.0}),
+        ("exposure_s", {"out": [0.002]}),
+    ],
+)
+def test_angles_are_judged_with_the_weights_noise_and_limit_of_the_fit(project, monkeypatch, where, change):
+    monkeypatch.chdir(project)
+    monkeypatch.setattr(angles, "_MOST", 2.0)  # so that the share is always said
+    loaded = load_project([])
+    groups = [{"light_deg": [45.0], "camera_deg": [0.0, 30.0, 40.0, 48.0]}, {"light_deg": [60.0], "camera_deg": [58.0]}]
+    plate, camera, rig = definitions(poses=groups)
+    camera["virtual"]["sensor"]["full_well_e"] = 1000.0
+    shares = []
+    for changed in ({}, change):
+        if where == "sensor":
+            camera["virtual"]["sensor"] |= changed
+        elif where == "exposure_s":
+            plate["exposure_s"] |= changed
+        else:
+            block = replace(getattr(loaded.config, where), **changed)
+            loaded = replace(loaded, config=replace(loaded.config, **{where: block}))
+        fit, eye, table, subject = loaded.config.fit, made(Camera, camera), made(Rig, rig), made(Object, plate)
+        fitted = {
+            "noise": default_noise(table, eye.virtual.sensor, subject.exposure_s.out, fit),
+            "weighting": Weighting(fit.weights, fit.model_error),
+            "max_angle_deg": loaded.config.rectify.max_angle_deg,
+        }
+        loaded.rigs["table"], loaded.cameras["own"] = table, replace(eye, rig="table")
+        loaded.objects["plate"] = replace(subject, camera="own")
+        (found,) = of_object(loaded, "plate")
+        shares.append(f"in {told_share(subject, table, expand_poses(subject.poses), fitted):.0%} of the materials")
+        assert shares[-1] in found.text
+    assert shares[0] != shares[1]
 
 
 def test_of_a_table_the_angles_that_were_photographed_count(project, tmp_path, capsys, monkeypatch):
@@ -125,8 +169,31 @@ def test_of_a_table_the_angles_that_were_photographed_count(project, tmp_path, c
     lines = table.read_text().splitlines()
     table.write_text("\n".join([lines[0], *(line for line in lines if line.startswith("l0450-c0200"))]))
     status, told = said(folder, capsys)
-    words = "plate/captures.csv: angles: found 1 photograph with angles that tell gloss from colour in 0% of"
+    words = "plate/captures.csv: angles: found 1 pose with angles that tell gloss from colour in 0% of"
     assert status == 0 and [words in line for line in told] == [True, False]
+
+
+def test_a_fault_of_another_table_hides_no_warning(project, tmp_path, monkeypatch):
+    """Of an object, its own table alone is read."""
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    loaded = load_project([])
+    table = folder / "plate/captures.csv"
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([lines[0], *(line for line in lines if line.startswith("l0450-c0200"))]))
+    (folder / "camera/captures.csv").write_text("no table\n")
+    (found,) = of_object(loaded, "plate")
+    assert "found 1 pose with angles" in found.text
+    table.write_text("no table\n")
+    assert not list(of_object(loaded, "plate"))  # the check of the photographs says what is wrong with it
+
+
+def test_no_mesh_is_read_for_the_angles_of_an_object_that_is_not_flat(project, monkeypatch):
+    monkeypatch.chdir(project)
+    loaded = load_project([])
+    mesh = MeshShape(kind="mesh", file="no-such-file.obj", unit="mm")
+    loaded.objects["plate"] = replace(loaded.objects["plate"], shape=mesh)
+    assert not list(of_object(loaded, "plate"))
 
 
 def test_a_mistake_of_a_configuration_on_top_names_its_file(project, tmp_path, capsys, monkeypatch):

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import made
 from plans import PLATE_OBJECT, POSES, RIG, SIDEWAYS, SPHERE_OBJECT, texel
+from scipy.stats import qmc
 from shortcuts import information
 
 from irodori.capture.shot_planner.exchange import CRITERIA, Selection, TooFewPoses, choose
@@ -61,6 +62,12 @@ def manual_settings(plan) -> int:
 
 def some_observations(seed: int, count: int = 10):
     return observe(texel(), random_poses(count, seed), MaterialRange().spread(6), ObservationNoise())
+
+
+def test_materials_fill_their_range_as_a_halton_sequence_does():
+    unit = qmc.Halton(3, scramble=False).random(201)[1:]
+    found, expected = MaterialRange().spread(200), MaterialRange().at(unit)
+    np.testing.assert_allclose(found.parameters(), expected.parameters(), rtol=1e-14)
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)

@@ -84,6 +84,31 @@ def test_a_command_whose_output_nobody_reads_ends_quietly(words, tmp_path):
     assert (run.returncode, run.stderr) == (141, "")
 
 
+def test_the_command_of_the_rig_ends_quietly_too():
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "irodori.rig", "plan", "tile-plate"]
+    run = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    os.close(writer)
+    assert (run.returncode, run.stderr) == (141, "")
+
+
+@pytest.mark.parametrize(
+    ("words", "status"),
+    [
+        (["irodori", "--version"], 0),
+        (["irodori", "plan", "tile-plate"], 0),
+        (["irodori", "plan", "no-such-object"], 1),
+        (["irodori.rig", "plan", "no-such-object"], 1),
+    ],
+)
+def test_a_process_without_an_output_has_the_status_of_its_command(words, status):
+    """As of a daemon, or of a shell's ``>&-``."""
+    command = ["sh", "-c", 'exec "$@" >&-', "sh", sys.executable, "-m", *words]
+    run = subprocess.run(command, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    assert run.returncode == status and "Traceback" not in run.stderr
+
+
 def test_a_broken_pipe_of_another_program_is_an_error(monkeypatch):
     def broken(arguments):
         raise BrokenPipeError("the controller has gone")

@@ -253,7 +253,7 @@ def test_what_a_renamed_pose_has_left_is_named_and_breaks_no_link(rerun, capsys,
         make(left[1], left[:1], alpha=0.4)
     status, said = verify(capsys, folder)
     *lines, last = said.splitlines()
-    words = "left over: its inputs have changed since, and no result was made from it; remove it"
+    words = "left over: its inputs have changed since, and no present result was made from it; remove it"
     asked = [path for path in left if path.startswith(f"{folder}/")]
     assert status == 0 and last.startswith("every link holds (")
     assert lines == [f"{Path(path).absolute()}: {words}" for path in asked]
@@ -266,8 +266,39 @@ def test_what_a_renamed_pose_has_left_is_named_and_breaks_no_link(rerun, capsys,
 def test_a_stale_intermediate_file_of_a_present_result_is_still_a_broken_link(rerun, capsys):
     (rerun / "jar.csv").write_text("file,exposure_s\nb.dng,1\n")
     status, said = verify(capsys)
-    assert status == 1 and f"{linear('l0440-c0200')}: found a result of jar.csv, which has changed since" in said
-    assert f"{linear('l0450-c0200')}: left over" in said
+    for pose in ("l0440-c0200", "l0450-c0200"):  # whether the next run makes it again, no result tells yet
+        assert f"{linear(pose)}: found a result of jar.csv, which has changed since" in said
+    assert status == 1 and "left over" not in said
+
+
+@pytest.mark.parametrize("missing", [MATERIAL, "jar.csv"])
+def test_nothing_is_left_over_without_a_result_or_without_its_input(rerun, capsys, missing):
+    """A material was removed, or a first run was broken off, and then a photograph is changed or lost."""
+    Path(missing).unlink()
+    if missing == MATERIAL:
+        Path("results/scene/front.png").unlink()
+    for folder in ("results", "results/jar/linear"):
+        status, said = verify(capsys, folder)
+        what = "is gone" if missing == "jar.csv" else "has changed since"
+        assert status == 1 and f"{linear('l0450-c0200')}: found a result of jar.csv, which {what}" in said
+        assert "left over" not in said
+
+
+def test_what_is_behind_a_file_that_is_left_over_is_looked_at(rerun, capsys):
+    """A photograph that is gone breaks the link of the checked table, which is no file of the folder."""
+    table = "results/jar/captures.csv"
+    Path("a.dng").write_bytes(b"light")
+    for pose in ("l0450-c0200", "l0440-c0200"):
+        Path(table).write_text(pose)
+        write_record(table, table, hashes("a.dng"))
+        make(linear(pose), [table], alpha=0.4)
+        make("results/jar/observations/tile-000.h5", [linear(pose)], alpha=0.4)
+        make(MATERIAL, ["results/jar/observations/tile-000.h5"], alpha=0.4)
+    Path(linear("l0440-c0200")).rename("kept.h5")  # an intermediate file that was not kept
+    assert verify(capsys, "results/jar/linear")[0] == 0
+    Path("a.dng").unlink()
+    status, said = verify(capsys, "results/jar/linear")
+    assert status == 1 and f"{table}: found a result of a.dng, which is gone" in said
 
 
 def test_an_intermediate_file_that_no_result_was_made_from_yet_is_not_left_over(project, capsys):

@@ -22,7 +22,7 @@ from irodori.capture.shot_planner.fisher_information import (
 )
 from irodori.config.capture_table import Pose
 from irodori.config.cross_checks.object_lobes import AUTO
-from irodori.config.models import AxisLimit, Object, PosePlan, Rig, RigLimits, SensorOptions
+from irodori.config.models import AxisLimit, Camera, Config, Object, PosePlan, Rig, RigLimits, SensorOptions
 from irodori.config.parts import PlannedObject
 from irodori.geometry.rig_frame import to_camera, to_light
 from irodori.geometry.shapes.shape import Shape
@@ -107,9 +107,22 @@ class MaterialRange:
 
     def spread(self, count: int) -> Materials:
         """Return materials that fill the range evenly: a Halton sequence, which is always the same."""
-        from scipy.stats import qmc  # slow to import
+        return self.at(_halton(count))
 
-        return self.at(qmc.Halton(3, scramble=False).random(count + 1)[1:])
+
+def _halton(count: int) -> np.ndarray:
+    """Return the first points of the Halton sequence after the origin, (count, 3).
+
+    They are those of `scipy.stats.qmc.Halton`, whose package takes most of a second to import.
+    """
+    out = np.zeros((count, 3))
+    for column, base in enumerate((2, 3, 5)):
+        left, share = np.arange(1, count + 1), 1.0
+        while left.any():
+            share /= base
+            out[:, column] += share * (left % base)
+            left //= base
+    return out
 
 
 @dataclass(frozen=True)
@@ -296,6 +309,30 @@ def default_noise(
             "pose_rms_deg": pose.rms_deg if pose.enabled else 0.0,
         }
     return ObservationNoise(**own) if sensor is None else ObservationNoise.of_sensor(sensor, exposures_s, **own)
+
+
+def as_fitted(config: Config, rig: Rig, definition: Object | None = None, camera: Camera | None = None) -> dict:
+    """Return noise, weights and largest angle of observations as the fit of a configuration has them.
+
+    They are the parameters ``noise``, ``weighting`` and ``max_angle_deg`` of `Planner` and of
+    `irodori.capture.shot_planner.fisher_information.observe`.
+
+    Parameters
+    ----------
+    config : Config
+    rig : Rig
+    definition : Object, optional
+        Object with the exposure times of a virtual camera.
+    camera : Camera, optional
+        Camera whose sensor, if it is a virtual one, determines the noise.
+    """
+    fit, sensor = config.fit, camera.virtual.sensor if camera and camera.virtual else None
+    exposures_s = definition.exposure_s.out if sensor and definition and definition.exposure_s else ()
+    return {
+        "noise": default_noise(rig, sensor, exposures_s, fit),
+        "weighting": Weighting(fit.weights, fit.model_error),
+        "max_angle_deg": config.rectify.max_angle_deg,
+    }
 
 
 class Planner:
