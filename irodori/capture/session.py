@@ -254,15 +254,15 @@ class Session:
         ------
         DeviceError
         """
-        were_set_aside = self._judge(rig, 1)
         if rig.cannot_recount:
             LOGGER.info("lost steps are not looked for: %s", rig.cannot_recount)
+        were_set_aside = not rig.cannot_recount and self._judge(rig, 1)
         if not rig.status().homed:
             LOGGER.info("%s: homing the rig", label)
             rig.home()
             return were_set_aside
         if rig.cannot_recount:
-            return were_set_aside
+            return False
         if not rig.homings.current:
             rig.homings.begin()  # it was homed by another program, or the record of its homings was removed
         if self._look_for_lost_steps(1):

@@ -451,7 +451,7 @@ def test_half_a_line_of_a_power_cut_takes_no_other_with_it(tmp_path, record):
 
 def test_the_search_that_a_lost_line_prevented_is_made_before_the_session_is_complete(tmp_path, ready, monkeypatch):
     rig, bench = ready()
-    _, aim = target(tmp_path)
+    _, aim = target(tmp_path, True)
 
     def session(camera):
         monkeypatch.setattr(stage, "_equipment", lambda *_: nullcontext((rig, camera, AutoOperator(dict))))
