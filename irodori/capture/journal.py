@@ -11,7 +11,7 @@ from pathlib import Path
 
 from irodori.capture.rig.devices import DeviceError
 from irodori.config.capture_table import COLUMNS, EXTRA_COLUMNS, Shot, read_captures, shot_cells
-from irodori.core.atomic_files import file_sha256, written_whole
+from irodori.core.atomic_files import file_sha256, sync_folder, written_whole
 from irodori.core.confined_paths import confined
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
@@ -106,14 +106,6 @@ def _subject(content: bytes, mark: Path, owner: str) -> str:
     return known
 
 
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def _lines(rows: Iterable[Sequence]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
@@ -141,7 +133,7 @@ def _write_table(path: Path, rows: Iterable[Sequence]) -> None:
             out.flush()
             os.fsync(out.fileno())
         os.replace(temporary, path)
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
 
 
 class Journal:
@@ -198,7 +190,9 @@ class Journal:
         shots = read_captures(self.table)
         listed = csv.DictReader(io.StringIO(whole.decode("utf-8-sig")))
         digests = {row["file"]: row["sha256"] for row in listed}
-        if len(digests) > 1 and not any(self._path(file).exists() for file in digests):
+        # A sitting may have ended while it set all photographs aside.
+        names = (one for file, sha256 in digests.items() for one in (file, _aside(file, "doubtful", sha256)))
+        if len(digests) > 1 and not any(self._path(one).exists() for one in names):
             found = f"none of the {len(digests)} photographs of {self.table}"
             raise InputError(self.folder, "", found, "the folder of its RAW files; to begin anew, remove the table")
         for shot in track(shots, f"{self.table}: looking at the files"):
@@ -251,7 +245,7 @@ class Journal:
         path, aside = self._path(file), _aside(file, why, sha256)
         with storing(self.folder / aside):
             os.replace(path, self.folder / aside)
-            _sync_folder(self.folder)
+            sync_folder(self.folder)
         return aside
 
     def _rewrite(self) -> None:
@@ -346,7 +340,7 @@ class Journal:
     def append(self, shot: Shot, sha256: str) -> None:
         """Append the line of a photograph with a complete file; the line is on the disk when this method returns."""
         with storing(self.table):
-            _sync_folder(self.folder)
+            sync_folder(self.folder)
             # Not "a", which would create a table without a header if somebody had removed it.
             with open(self.table, "r+b") as out:
                 out.seek(0, os.SEEK_END)
@@ -364,34 +358,42 @@ class Journal:
         StorageError
         """
         marks = self._marks()
-        return {file: marks[file] for file in self.shots if file in marks}
+        named = {file: (file, self.sha256.get(file, "")) for file in self.shots}
+        return {file: marks[one] for file, one in named.items() if one in marks}
 
-    def _marks(self) -> dict[str, str]:
+    def _marks(self) -> dict[tuple[str, str], str]:
+        """Return {(file, hash of its content): ID of the homing before it}."""
         if not self._unchecked.exists():
             return {}
         with storing(self._unchecked):
             lines = self._unchecked.read_text(encoding="utf-8", errors="replace").split("\n")
-        found = (line.partition(" ") for line in lines)
-        return {file: homing for homing, _, file in found if file}
+        parts = [line.split(" ", 2) for line in lines]
+        return {(part[2], part[1]): part[0] for part in parts if len(part) == 3}
 
-    def leave_unchecked(self, file: str, homing: str) -> None:
+    def leave_unchecked(self, file: str, sha256: str, homing: str) -> None:
         """Mark a photograph as `unchecked`, before it has its name; the mark outlasts the sitting."""
-        with storing(self._unchecked), open(self._unchecked, "a", encoding="utf-8") as out:
-            out.write(f"\n{homing} {file}\n")  # on its own line, also after half of one
-            out.flush()
-            os.fsync(out.fileno())
+        with storing(self._unchecked):
+            is_new = not self._unchecked.exists()
+            with open(self._unchecked, "a", encoding="utf-8") as out:
+                out.write(f"\n{homing} {sha256} {file}\n")  # on its own line, also after half of one
+                out.flush()
+                os.fsync(out.fileno())
+            if is_new:
+                sync_folder(self.table.parent)
 
     def checked(self, files: Iterable[str]) -> None:
         """Remove the marks of photographs: they are confirmed, a person has kept them, or they are set aside."""
         gone = set(files)
-        left = {file: homing for file, homing in self._marks().items() if file not in gone}
+        left = [f"{homing} {sha256} {file}\n" for (file, sha256), homing in self._marks().items() if file not in gone]
         with storing(self._unchecked):
             if left:
-                with written_whole(self._unchecked) as temporary:
-                    temporary.write_text("".join(f"{left[file]} {file}\n" for file in left), encoding="utf-8")
+                with written_whole(self._unchecked) as temporary, open(temporary, "w", encoding="utf-8") as out:
+                    out.writelines(left)
+                    out.flush()
+                    os.fsync(out.fileno())
             else:
                 self._unchecked.unlink(missing_ok=True)
-                _sync_folder(self.table.parent)
+            sync_folder(self.table.parent)
 
     def drop(self, files: Iterable[str], why: str) -> None:
         """Rename the files of photographs and remove their lines, so that they are taken again.

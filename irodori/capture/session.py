@@ -17,15 +17,13 @@ from irodori.capture.dialogue import Dialogue, RetakeLast, State
 from irodori.capture.journal import Journal, storing
 from irodori.capture.operator import HandSettings, Operator
 from irodori.capture.rig.devices import (
-    ANGLE_TOLERANCE_DEG,
     NOT_REPORTED,
-    AlarmError,
     Axis,
     CameraDevice,
     DeviceError,
     RigDevice,
 )
-from irodori.capture.rig.homings import Homings, Verdict
+from irodori.capture.rig.homings import Homings, Verdict, told
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import Shot, Taken
 from irodori.core.atomic_files import file_sha256
@@ -99,26 +97,11 @@ class PositionCheck:
     lost_deg: Mapping[str, float]
 
     def __str__(self) -> str:
-        return "limit switches found: " + _told(self.lost_deg)
+        return "limit switches found: " + told(self.lost_deg)
 
     def plain(self) -> dict:
         """Return the comparison as plain values for the session's record."""
         return {"photographs": self.photographs, "lost_deg": dict(self.lost_deg)}
-
-
-def _told(lost_deg: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} stood {lost:+.3g} degrees off its count" for name, lost in lost_deg.items())
-
-
-def off_their_count(lost_deg: Mapping[str, float], axes: Mapping[str, Axis]) -> str:
-    """Return a phrase that names the axes that were off their count by more than a step; empty if there are none."""
-    return _told(
-        {
-            name: lost
-            for name, lost in lost_deg.items()
-            if name in axes and abs(lost) > axes[name].step_deg + ANGLE_TOLERANCE_DEG
-        }
-    )
 
 
 def confirm(journal: Journal, homings: Homings, axes: Mapping[str, Axis]) -> dict[str, str]:
@@ -133,8 +116,8 @@ def confirm(journal: Journal, homings: Homings, axes: Mapping[str, Axis]) -> dic
     ------
     DeviceError
     """
-    verdicts = {file: homings.verdict(homing) for file, homing in journal.unchecked.items()}
-    found = {file: v.alarm or off_their_count(v.lost_deg, axes) for file, v in verdicts.items() if v is not None}
+    verdicts = {file: homings.verdicts(homing) for file, homing in journal.unchecked.items()}
+    found = {file: next(filter(None, (v.off(axes) for v in all_of)), "") for file, all_of in verdicts.items() if all_of}
     if sound := [file for file, off in found.items() if not off]:
         journal.checked(sound)
     return {file: off for file, off in found.items() if off}
@@ -257,19 +240,19 @@ class Session:
         if rig.cannot_recount:
             LOGGER.info("lost steps are not looked for: %s", rig.cannot_recount)
         were_set_aside = not rig.cannot_recount and self._judge(rig, 1)
-        if not rig.status().homed:
+        # A homing that this record does not know, or of which all was found out, is none that photographs can refer to.
+        is_recorded = bool(rig.cannot_recount or ((now := rig.homings.current) and not rig.homings.verdicts(now)))
+        if not is_recorded or not rig.status().homed:
             LOGGER.info("%s: homing the rig", label)
             rig.home()
             return were_set_aside
         if rig.cannot_recount:
             return False
-        if not rig.homings.current:
-            rig.homings.begin()  # it was homed by another program, or the record of its homings was removed
         if self._look_for_lost_steps(1):
             return True
         if not self.position and any(motor_targets(shot, rig.axes) for shot in self.journal.shots.values()):
             self.position.append(check := PositionCheck(0, rig.recount()))
-            if off := off_their_count(check.lost_deg, rig.axes):
+            if off := Verdict(check.lost_deg).off(rig.axes):
                 LOGGER.warning(
                     "%s: the rig was moved by hand, or has lost steps between two sittings; it is homed", off
                 )
@@ -437,7 +420,7 @@ class Session:
 
     def _add(self, series: Series, shot: Shot, look: Look) -> None:
         if (frame := series.drift(shot, look)) is not None:
-            self.drift.append(frame)
+            self.drift = [*(known for known in self.drift if known.file != frame.file), frame]
             LOGGER.info("%s", frame)
         series.add(shot, look)
 
@@ -446,12 +429,7 @@ class Session:
         # Motors move first, so that nobody has a hand at the lens while the arm swings.
         targets = motor_targets(shot, motorised)
         if self.rig is not None and targets:
-            try:
-                self.rig.move(targets)
-            except AlarmError as alarm:
-                if alarm.of_switch and not self.rig.cannot_recount:
-                    self.rig.homings.conclude(Verdict({}, str(alarm)))
-                raise
+            self.rig.move(targets)
             if targets != self._stands:
                 self._stands, self._settled_at = targets, time.monotonic() + self._settle_s
         if self._hand.set(hand_settings(shot, motorised)):
@@ -462,7 +440,7 @@ class Session:
         try:
             taken, digest = self._photograph(shot, path, temporary)
             if self.rig is not None and targets and not self.rig.cannot_recount:
-                self.journal.leave_unchecked(shot.file, self.rig.homings.current)
+                self.journal.leave_unchecked(shot.file, digest, self.rig.homings.current)
             with storing(path):
                 _sync(temporary)
                 if shot.file in self.journal.shots:

@@ -13,7 +13,7 @@ from irodori.capture.operator import AutoOperator, Operator, Step, make_operator
 from irodori.capture.rig.connect import homings_of, open_rig, true_position_deg
 from irodori.capture.rig.devices import Axis, CameraDevice, RigDevice
 from irodori.capture.rig.drives import drives_of
-from irodori.capture.session import Session, confirm, take_stock
+from irodori.capture.session import PositionError, Session, confirm, take_stock
 from irodori.capture.shot_list import camera_shots, object_shots, shots_without_rig, with_drift_frames
 from irodori.capture.shot_order import Estimate, estimate_s, order_shots
 from irodori.config.capture_table import Shot
@@ -237,12 +237,20 @@ def photograph(
 
 
 def _open_ends(journal: Journal, target: Target) -> list[str]:
-    """Return photographs that are in doubt, or whose angles the rig may still confirm."""
-    motion = target.rig.motion
-    if motion is None or not motion.homing:
-        return []
-    homings = homings_of(target.rig_name, target.rig)
+    """Return photographs that are in doubt, or whose angles the rig may still confirm.
+
+    Raises
+    ------
+    PositionError
+        If the rig has no limit switches any more, so that nobody would be asked about photographs in doubt.
+    """
+    homings, motion = homings_of(target.rig_name, target.rig), target.rig.motion
     doubtful = confirm(journal, homings, target.axes())
+    if motion is None or not motion.homing:
+        if doubtful:
+            why = f"{journal.table}: {', '.join(dict.fromkeys(doubtful.values()))}: steps were lost"
+            raise PositionError(f"{why}; remove these photographs, which are then taken again: {', '.join(doubtful)}")
+        return []
     return [*doubtful, *(file for file, homing in journal.unchecked.items() if homing == homings.current)]
 
 

@@ -36,7 +36,7 @@ class _Numbered(NamedTuple):
 
     @property
     def series(self) -> str:
-        """What precedes the last four digits, which are the camera's count."""
+        """Part of the name before the last four digits, which are the camera's count."""
         return self.before + self.digits[:-_DIGITS]
 
     @property

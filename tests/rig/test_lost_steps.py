@@ -35,8 +35,7 @@ def ready(monkeypatch, record):
         rig = rig_of("grbl")
         bench = bench_of(rig, monkeypatch, firmware=firmware)
         bench.machine.settings |= {int(key.removeprefix("S")): value for key, value in settings.items()}
-        driver = opened(rig, bench)
-        driver.homings = Homings(record)
+        driver = opened(rig, bench, homings=Homings(record))
         driver.home()
         driver.move({"camera_deg": 50.0, "turn_deg": 100.0})
         return driver, bench
@@ -242,12 +241,14 @@ class Slipping(QuickCamera):
 
     def __init__(self, bench, after, by=1.0) -> None:
         super().__init__()
-        self.bench, self.after, self.by = bench, after, by
+        self.bench, self.after, self.by, self.on_third = bench, after, by, lambda: None
 
     def capture(self, shot, path):
         super().capture(shot, path)
         if len(self.taken) in self.after:
             self.bench.machine.slip(self.by)
+        if len(self.taken) == 3:
+            self.on_third()
 
 
 def sitting(folder, rig, camera, operator=None, dialogue=None):
@@ -397,15 +398,14 @@ def test_what_another_command_finds_out_about_the_rig_holds_for_the_photographs_
 ):
     rig, bench = ready()
     broken_off(tmp_path, bench, rig, DeviceError("its battery is empty"), 2.0 * lost_deg)
-    again = opened(rig_of("grbl"), bench)
-    again.homings = Homings(record)
+    again = opened(rig_of("grbl"), bench, homings=Homings(record))
     if by == "recount":
         again.recount()
     else:
         (tmp_path / "other").mkdir()
         for _ in range(2):
             sitting(tmp_path / "other", again, QuickCamera())
-    again.homings = Homings(record)
+    again = opened(rig_of("grbl"), bench, homings=Homings(record))
     session = sitting(tmp_path, again, QuickCamera())
     assert session.tally.taken == (3 if lost_deg else 1) and session.journal.unchecked == {}
     assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == (2 if lost_deg else 0)
@@ -418,8 +418,7 @@ def test_photographs_before_the_count_was_lost_are_kept_and_named(tmp_path, read
     broken_off(tmp_path, bench, rig, DeviceError("its battery is empty"))
     if by == "restart":
         bench.machine.power_up()
-        rig = opened(rig_of("grbl"), bench)
-        rig.homings = Homings(record)
+        rig = opened(rig_of("grbl"), bench, homings=Homings(record))
     else:
         rig.home()
     session = sitting(tmp_path, rig, QuickCamera())
@@ -442,11 +441,95 @@ def test_half_a_line_of_a_power_cut_takes_no_other_with_it(tmp_path, record):
     homings.conclude(Verdict({"camera_deg": -0.5}))
     homings.begin()
     assert Homings(record).current == homings.current != first
-    assert Homings(record).verdict(first) == Verdict({"camera_deg": -0.5})
-    assert Homings(record).verdict(homings.current) is None
-    journal.leave_unchecked("b c.dng", first)
-    journal.shots["b c.dng"] = PLANNED[0]
+    assert Homings(record).verdicts(first) == [Verdict({"camera_deg": -0.5})]
+    assert Homings(record).verdicts(homings.current) == []
+    journal.leave_unchecked("b c.dng", "0123", first)
+    journal.shots["b c.dng"], journal.sha256["b c.dng"] = PLANNED[0], "0123"
     assert journal.unchecked == {"b c.dng": first}
+    journal.sha256["b c.dng"] = "4567"
+    assert journal.unchecked == {}, "the mark is that of another photograph of the name"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"homing": "A", "note": 1}', '{"homing": "A", "lost_deg": {"camera_deg": NaN}}',
+        '{"homing": "A", "lost_deg": []}', '{"homing": "A", "lost_deg": {}}', '["A"]',
+    ],
+)  # fmt: skip
+def test_a_line_that_says_nothing_confirms_no_photograph(record, line):
+    record.write_text(f'{{"homing": "A"}}\n{line}\n')
+    assert Homings(record).current == "A" and Homings(record).verdicts("A") == []
+
+
+@pytest.mark.parametrize("firmware", [FIRMWARES[0], GRBLHAL])
+def test_photographs_taken_after_a_finding_do_not_share_it(tmp_path, ready, record, firmware):
+    """The line of the next homing may be missing, after a full disk or a kill: the rig is homed again."""
+    rig, bench = ready(firmware)
+    rig.homings.conclude(Verdict({"camera_deg": 0.0, "turn_deg": 0.0}))
+    session = sitting(tmp_path, rig, Slipping(bench, (2,)))
+    assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 3 and session.tally.taken == 3
+
+
+def test_another_record_of_the_same_board_confirms_nothing(tmp_path, ready, record):
+    """Of two projects, or two files of one rig, each has a record; the board has but one count."""
+    rig, bench = ready()
+    broken_off(tmp_path, bench, rig, DeviceError("its battery is empty"))
+    other = opened(rig_of("grbl"), bench, homings=Homings(record.with_name("other.jsonl")))
+    (tmp_path / "other").mkdir()
+    sitting(tmp_path / "other", other, QuickCamera())
+    again = opened(rig_of("grbl"), bench, homings=Homings(record))
+    session = sitting(tmp_path, again, QuickCamera())
+    assert list(session.journal.unchecked) == ["10.dng", "40.dng"]
+
+
+@pytest.mark.parametrize("settings", [{"S21": 1}, {"S21": 0}])
+@pytest.mark.parametrize("jog", [1, 2, 3])
+def test_a_search_that_is_interrupted_is_made_again(tmp_path, ready, settings, jog):
+    rig, bench = ready(**settings)
+    jogs = []
+
+    def interrupted(data):
+        jogs.extend([data] * data.startswith(b"$J"))
+        if len(jogs) == jog and data.startswith(b"$J"):
+            raise KeyboardInterrupt
+        return data
+
+    bench.on_the_way = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        sitting(tmp_path, rig, Slipping(bench, (2,)))
+    bench.on_the_way = bytes
+    session = sitting(tmp_path, rig, QuickCamera())
+    assert session.tally.taken == 3 and session.journal.unchecked == {}
+    assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 3
+
+
+def test_a_sitting_that_ends_while_all_photographs_are_set_aside_goes_on(tmp_path, ready, monkeypatch):
+    rig, bench = ready()
+
+    def full(self):
+        raise DeviceError("No space left on device")
+
+    camera = Slipping(bench, (2,))
+    with monkeypatch.context() as disk:
+        # Full at the last photograph: the files are set aside, and their lines remain.
+        camera.on_third = lambda: disk.setattr(Journal, "_rewrite", full)
+        with pytest.raises(DeviceError, match="No space"):
+            sitting(tmp_path, rig, camera)
+    assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 3 and len(read_captures(tmp_path / "captures.csv")) == 3
+    assert sitting(tmp_path, rig, QuickCamera()).tally.taken == 3
+    assert_whole(tmp_path, PLANNED)
+
+
+def test_a_rig_without_switches_completes_no_session_with_photographs_in_doubt(tmp_path, ready, monkeypatch):
+    rig, bench = ready()
+    with pytest.raises(KeyboardInterrupt):
+        sitting(tmp_path, rig, Slipping(bench, (2,)), Person(KeyboardInterrupt()))
+    _, aim = target(tmp_path)  # its rig has no block motion
+    monkeypatch.setattr(stage, "homings_of", lambda *_: rig.homings)
+    monkeypatch.setattr(stage, "_start_over_if_changed", lambda *_: None)
+    with pytest.raises(PositionError, match=r"camera_deg stood -0\.\d+ degrees.*: 10\.dng, 40\.dng, 70\.dng"):
+        stage.photograph(PLANNED, aim, None, tmp_path / "session.json", MADE, owner="object plate")
 
 
 def test_the_search_that_a_lost_line_prevented_is_made_before_the_session_is_complete(tmp_path, ready, monkeypatch):

@@ -16,6 +16,7 @@ from irodori.capture.rig.devices import DeadlineError, Link, LinkError, RigDevic
 from irodori.capture.rig.drives import drives_of
 from irodori.capture.rig.grbl import driver as grbl_driver
 from irodori.capture.rig.grbl.protocol import FIRMWARES
+from irodori.capture.rig.homings import Homings
 from irodori.config.models import Rig
 from irodori.simulation.controllers.ascii_simulator import AsciiMachine
 from irodori.simulation.controllers.grbl_machine import GrblMachine
@@ -206,12 +207,14 @@ class _Line(Link):
             raise LinkError("the line is lost (hung up)")
 
 
-def opened(rig: Rig, bench: Bench, homing: bool = True, timeout_s: float = TIMEOUT_S) -> RigDevice:
+def opened(
+    rig: Rig, bench: Bench, homing: bool = True, timeout_s: float = TIMEOUT_S, homings: Homings | None = None
+) -> RigDevice:
     """Return the driver of a controller."""
     drives = drives_of(rig)
     assert rig.motion is not None
     if rig.motion.ascii is None:
-        return grbl_driver.GrblRig(bench, drives, timeout_s=timeout_s, homing=homing)
+        return grbl_driver.GrblRig(bench, drives, timeout_s=timeout_s, homing=homing, homings=homings)
     return ascii_rig.AsciiRig(bench, drives, Description.of(rig.motion.ascii), timeout_s=timeout_s, homing=homing)
 
 

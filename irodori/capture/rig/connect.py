@@ -68,9 +68,8 @@ def open_rig(rig: Rig, checked: bool = True, name: str = "") -> Iterator[RigDevi
             line_end=b"\n" if motion.protocol == "grbl" else _description(motion).line_end,
         )
         stack.callback(link.close)
-        opened = _DRIVERS[motion.protocol](link, drives_of(rig), motion, checked)
+        opened = _DRIVERS[motion.protocol](link, drives_of(rig), motion, checked, homings_of(name, rig))
         opened.simulator = simulator
-        opened.homings = homings_of(name, rig)
         yield stack.enter_context(opened)
 
 
@@ -137,16 +136,17 @@ def true_position_deg(rig: RigDevice) -> dict[str, float]:
     return {name: drive.to_deg(places[drive.channel]) for name, drive in rig.drives.items()}
 
 
-def _open_grbl(link: Link, drives: Mapping[str, Drive], motion: Motion, checked: bool) -> RigDevice:
-    return GrblRig(link, drives, timeout_s=motion.timeout_s, flow=motion.flow, homing=motion.homing, checked=checked)
+def _open_grbl(link: Link, drives: Mapping[str, Drive], motion: Motion, checked: bool, homings: Homings) -> RigDevice:
+    flow, homing = motion.flow, motion.homing
+    return GrblRig(link, drives, timeout_s=motion.timeout_s, flow=flow, homing=homing, checked=checked, homings=homings)
 
 
-def _open_ascii(link: Link, drives: Mapping[str, Drive], motion: Motion, checked: bool) -> RigDevice:
+def _open_ascii(link: Link, drives: Mapping[str, Drive], motion: Motion, checked: bool, homings: Homings) -> RigDevice:
     words = _description(motion)
     return AsciiRig(link, drives, words, timeout_s=motion.timeout_s, homing=motion.homing)
 
 
-_DRIVERS: dict[str, Callable[[Link, Mapping[str, Drive], Motion, bool], RigDevice]] = {
+_DRIVERS: dict[str, Callable[[Link, Mapping[str, Drive], Motion, bool, Homings], RigDevice]] = {
     "grbl": _open_grbl,
     "ascii": _open_ascii,
 }

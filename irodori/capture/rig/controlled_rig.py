@@ -96,7 +96,8 @@ class ControlledRig(RigDevice):
             raise CommandError("this rig has no limit switches (motion.homing is false): it cannot be homed")
         with self._stopping_on_failure():
             self._homed = False
-            self.homings.begin()
+            if not self.cannot_recount:
+                self.homings.begin()
             self._find_switches()
             self._homed = True
 

@@ -51,7 +51,7 @@ from irodori.capture.rig.grbl.settings_check import (
     number,
     switch_position,
 )
-from irodori.capture.rig.homings import Verdict
+from irodori.capture.rig.homings import Homings, Verdict
 from irodori.core.progress import LOGGER
 
 #: Interval between questions to a controller that may still be starting, s.
@@ -97,6 +97,8 @@ class GrblRig(ControlledRig):
         Whether the axes have limit switches. If not, positions count from that at power-on.
     checked : bool
         Whether to refuse a controller with settings that contradict the drives; an unchecked one does not move.
+    homings : Homings, optional
+        Record of the rig's homings; by default an empty one, which ends with the process.
 
     Raises
     ------
@@ -112,8 +114,10 @@ class GrblRig(ControlledRig):
         flow: str = "send-response",
         homing: bool = True,
         checked: bool = True,
+        homings: Homings | None = None,
     ) -> None:
         super().__init__(drives, timeout_s, homing)
+        self.homings = homings or self.homings
         self._talk, self._is_homing = Conversation(link, timeout_s, flow), False
         self._options, self._mark_found, self._homes = "", 0, dict[str, float]()
         self._file_limits: dict[str, bool] = {}
@@ -289,8 +293,9 @@ class GrblRig(ControlledRig):
             raise CommandError(self.cannot_recount)
         if self._firmware == FLUIDNC and not self._homed:
             raise CommandError("FluidNC is homed each time it is opened: its sessions look for lost steps at their end")
-        self._ready()
         limits, found = self._limits(), dict[str, float]()
+        with self._stopping_on_failure():
+            self._ready()
         try:
             with self._stopping_on_failure():
                 self._put_limits(dict.fromkeys(limits, 0))
@@ -299,7 +304,10 @@ class GrblRig(ControlledRig):
                     switch = switch_position(self._settings, drive, home)
                     lost = (switch - self._closing(drive, home, switch)) / drive.units_per_deg
                     found[name] = round(lost, 4) + 0.0
+            self.homings.conclude(Verdict(found))
         except BaseException:
+            if Verdict(found).off(self.axes) and self.homings.verdicts(self.homings.current) == []:
+                self.homings.conclude(Verdict(found))  # the search ended early, but has found enough
             try:
                 self._put_limits(limits)
             except DeviceError:
@@ -307,7 +315,6 @@ class GrblRig(ControlledRig):
                 LOGGER.warning("the board was left without its limits: before it moves again, %s", left_off)
             raise
         self._put_limits(limits)
-        self.homings.conclude(Verdict(found))
         self.home()
         return found
 
@@ -337,7 +344,11 @@ class GrblRig(ControlledRig):
     def _set_limits(self, values: Mapping[int | str, float]) -> None:
         """Set limits, see `_limits`; in FluidNC's file the change lasts until a restart."""
         if settings := {key: value for key, value in values.items() if isinstance(key, int)}:
-            self.write_settings(settings)
+            homed = self._homed
+            try:
+                self.write_settings(settings)
+            finally:
+                self._homed = homed  # no limit changes the count
         wanted = {key: "true" if value else "false" for key, value in values.items() if isinstance(key, str)}
         for path, value in wanted.items():
             self._talk.command(f"${path}={value}")
@@ -473,9 +484,13 @@ class GrblRig(ControlledRig):
 
     @property
     def _mark(self) -> int:
-        """Tool number that marks a homing with the present settings, on which positions depend."""
+        """Tool number that marks the last homing with the present settings, on which positions depend.
+
+        Without the homing, one of another project or computer would be taken for that of its own record.
+        """
         keys = [23, 27, *(number(first, drive) for drive in self.drives.values() for first in (STEPS, TRAVEL))]
-        return 1 + zlib.crc32(repr([self._settings.get(key) for key in keys]).encode()) % _LARGEST_TOOL
+        marked = repr([self._settings.get(key) for key in keys]) + self.homings.stored
+        return 1 + zlib.crc32(marked.encode()) % _LARGEST_TOOL
 
     def _was_homed(self) -> bool:
         """Return whether a report or the mark shows that the controller was homed and has kept its position since."""
@@ -505,6 +520,11 @@ class GrblRig(ControlledRig):
         except BaseException as error:
             if isinstance(error, AlarmError) or self._talk.restarted:
                 self._homed = False
+            if isinstance(error, AlarmError) and error.of_switch and self._homing:
+                try:
+                    self.homings.conclude(Verdict({}, str(error)))
+                except DeviceError as untold:
+                    LOGGER.warning("%s", untold)
             with contextlib.suppress(DeviceError):
                 self._talk.link.write(first or HOLD)
             self.stop()
