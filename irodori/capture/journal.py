@@ -11,7 +11,7 @@ from pathlib import Path
 
 from irodori.capture.rig.devices import DeviceError
 from irodori.config.capture_table import COLUMNS, EXTRA_COLUMNS, Shot, read_captures, shot_cells
-from irodori.core.atomic_files import file_sha256, sync_folder, written_whole
+from irodori.core.atomic_files import append_line, file_sha256, sync_folder, written_whole
 from irodori.core.confined_paths import confined
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
@@ -373,13 +373,7 @@ class Journal:
     def leave_unchecked(self, file: str, sha256: str, homing: str) -> None:
         """Mark a photograph as `unchecked`, before it has its name; the mark outlasts the sitting."""
         with storing(self._unchecked):
-            is_new = not self._unchecked.exists()
-            with open(self._unchecked, "a", encoding="utf-8") as out:
-                out.write(f"\n{homing} {sha256} {file}\n")  # on its own line, also after half of one
-                out.flush()
-                os.fsync(out.fileno())
-            if is_new:
-                sync_folder(self.table.parent)
+            append_line(self._unchecked, f"{homing} {sha256} {file}")
 
     def checked(self, files: Iterable[str]) -> None:
         """Remove the marks of photographs: they are confirmed, a person has kept them, or they are set aside."""

@@ -89,3 +89,17 @@ def sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def append_line(path: Path, line: str) -> None:
+    """Append a line to a file, created if it is missing, and put it on the disk.
+
+    The line begins anew also after half of one, as a power cut leaves it; empty lines have no meaning in such a file.
+    """
+    is_new = not path.exists()
+    with open(path, "a", encoding="utf-8") as out:
+        out.write(f"\n{line}\n")
+        out.flush()
+        os.fsync(out.fileno())
+    if is_new:
+        sync_folder(path.parent)

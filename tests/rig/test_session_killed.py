@@ -23,7 +23,7 @@ def assert_same(found: dict[str, bytes], expected: dict[str, bytes], when: str) 
     found, expected = dict(found), dict(expected)
     # The simulated controller ends with the session: of photographs before nobody knows whether steps were lost.
     marked = found.pop("captures-unchecked.txt", b"").decode().split("\n")
-    assert found.keys() >= {line.partition(" ")[2] for line in marked if line}, when
+    assert found.keys() >= {line.split(" ", 2)[2] for line in marked if line}, when
     rows, wanted = (list(csv.DictReader(one.pop("captures.csv").decode().splitlines())) for one in (found, expected))
     assert found == expected, when
     unread = [dict(row, **{key: "" for key in row if key.endswith("_read_deg")}) for row in wanted]

@@ -2,14 +2,13 @@
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from irodori.capture.rig.devices import ANGLE_TOLERANCE_DEG, Axis, DeviceError
-from irodori.core.atomic_files import sync_folder
+from irodori.core.atomic_files import append_line
 
 
 @dataclass(frozen=True)
@@ -95,13 +94,7 @@ class Homings:
         if self._path is not None:
             try:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
-                is_new = not self._path.exists()
-                with open(self._path, "a", encoding="utf-8") as out:
-                    out.write(f"\n{json.dumps(line)}\n")  # on its own line, also after half of one
-                    out.flush()
-                    os.fsync(out.fileno())
-                if is_new:
-                    sync_folder(self._path.parent)
+                append_line(self._path, json.dumps(line))
             except OSError as error:
                 raise DeviceError(f"{self._path}: cannot be stored: {error.strerror}") from None
 
