@@ -504,6 +504,25 @@ def test_a_search_that_is_interrupted_is_made_again(tmp_path, ready, settings, j
     assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 3
 
 
+@pytest.mark.parametrize("firmware", [FIRMWARES[0], GRBLHAL])
+def test_a_finding_that_cannot_be_stored_is_made_again(tmp_path, ready, record, monkeypatch, firmware):
+    rig, bench = ready(firmware)
+
+    def full(self, verdict):
+        raise DeviceError("homings.jsonl: cannot be stored: No space left on device")
+
+    before = dict(bench.machine.settings)
+    with monkeypatch.context() as disk:
+        disk.setattr(Homings, "conclude", full)
+        with pytest.raises(DeviceError, match="No space"):
+            sitting(tmp_path, rig, Slipping(bench, (1,)))
+    assert bench.machine.settings == before, "its limits are on again"
+    with nullcontext() if firmware == GRBLHAL else pytest.raises(AlarmError):  # the axis stands on its switch
+        sitting(tmp_path, rig, QuickCamera())
+    session = sitting(tmp_path, rig, QuickCamera())
+    assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 3 and session.journal.unchecked == {}
+
+
 def test_a_sitting_that_ends_while_all_photographs_are_set_aside_goes_on(tmp_path, ready, monkeypatch):
     rig, bench = ready()
 

@@ -306,8 +306,9 @@ class GrblRig(ControlledRig):
                     found[name] = round(lost, 4) + 0.0
             self.homings.conclude(Verdict(found))
         except BaseException:
-            if Verdict(found).off(self.axes) and self.homings.verdicts(self.homings.current) == []:
-                self.homings.conclude(Verdict(found))  # the search ended early, but has found enough
+            if Verdict(found).off(self.axes) and not self.homings.verdicts(self.homings.current):
+                with contextlib.suppress(DeviceError):
+                    self.homings.conclude(Verdict(found))  # the search ended early, but has found enough
             try:
                 self._put_limits(limits)
             except DeviceError:
