@@ -66,7 +66,7 @@ _STEPS_TO_SWITCH = 4
 _JOG_LIMITED, _ROTARY = 40, 376
 #: Keys of each axis in FluidNC's own file that are switched off during the search for a limit switch.
 _FLUIDNC_LIMITS = ("motor0/hard_limits", "soft_limits")
-#: The alarm of a limit switch, and the number of tries if it is not the axis's own switch.
+#: Number of tries to reach a switch if the alarm is that of another one.
 _TRIES = 3
 _SILENT = "it said nothing until it was reset, as after ALARM:1 or ALARM:2 (a limit switch, a target out of travel)"
 _NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,6})?", re.ASCII)
@@ -521,14 +521,14 @@ class GrblRig(ControlledRig):
         except BaseException as error:
             if isinstance(error, AlarmError) or self._talk.restarted:
                 self._homed = False
+            with contextlib.suppress(DeviceError):
+                self._talk.link.write(first or HOLD)
+            self.stop()
             if isinstance(error, AlarmError) and error.of_switch and self._homing:
                 try:
                     self.homings.conclude(Verdict({}, str(error)))
                 except DeviceError as untold:
                     LOGGER.warning("%s", untold)
-            with contextlib.suppress(DeviceError):
-                self._talk.link.write(first or HOLD)
-            self.stop()
             raise
 
     def _get_in_step(self) -> None:
