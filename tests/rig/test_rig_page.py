@@ -97,9 +97,9 @@ class Sitting:
         asked = http.client.HTTPConnection(*self.server.server_address[:2], timeout=patience.LONG_S)
         text = json.dumps({"action": "done", "turn": self.dialogue.view.turn} if body is None else body)
         all_of = {name: value for name, value in (usual | given).items() if value is not None}
-        asked.request(method, path, text if method == "POST" else None, all_of)
-        answer = asked.getresponse()
         try:
+            asked.request(method, path, text if method == "POST" else None, all_of)
+            answer = asked.getresponse()
             return answer.status, answer.read().decode("utf-8", errors="replace")
         finally:
             asked.close()

@@ -1,6 +1,7 @@
 """The printed sheet on which an object stands: what its corners tell of camera and table, and what is refused."""
 
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +14,11 @@ from irodori.command_line import main
 from irodori.config.capture_table import Pose
 from irodori.config.models import Markers, Placing
 from irodori.core import store
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, PlainError
 from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.lens.printed_sheets import LENS_SHEET, OBJECT_SHEET
-from irodori.rectification.marker_sheet import SHEET_QUANTITIES, MarkerSheet, check_first_size
+from irodori.rectification.marker_sheet import SHEET_QUANTITIES, MarkerSheet, check_first_size, corners_in
 from irodori.rectification.object_registration import (
     Registered,
     _lay_sheet,
@@ -298,6 +299,15 @@ def test_a_sheet_is_first_placed_by_all_photographs_and_one_wrong_pose_does_not_
     values, size = sheet.first_place([RING] * len(seen), seen, stated, SETUP)
     np.testing.assert_allclose(values, lies, atol=1e-6)
     assert size == pytest.approx(0.9, rel=1e-9)
+
+
+def test_without_opencv_one_sentence_says_which_system_packages_are_missing(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(PlainError, match=r"markers needs OpenCV, which does not start .* libgl1 and libglib2\.0-0"):
+        corners_in(np.zeros((8, 8), np.float32))
+    for name in ("markers", "lens"):
+        assert main([name, "A4"]) == 2
+        assert capsys.readouterr().err.startswith(f"irodori {name} needs OpenCV")
 
 
 def test_the_documented_commands_print_a_sheet(tmp_path, monkeypatch, capsys):
