@@ -16,10 +16,10 @@ from irodori.geometry.shape_blocks import is_flat
 _MATERIALS = 40
 #: Share of them below which a warning is given. Of simulated plates in sets of angles that were not used to choose it,
 #: at most 36 % of the fits were ok below it, and at least 44 % above.
-_MOST = 0.5
+_LEAST = 0.5
 _OPEN = (
     "{file}: {field}: found {count} pose{s} with angles that tell gloss from colour in {share:.0%} of the "
-    "materials that the object may have; accepted: {most:.0%} or more, by photographs near the mirror direction (of a "
+    "materials that the object may have; accepted: {least:.0%} or more, by photographs near the mirror direction (of a "
     "plate that is not tilted, camera_deg as large as light_deg), 5 to 15 degrees to both sides of it, and 30 degrees "
     "or more away, as `irodori plan {name} --best 12` chooses them; else gloss stays open, and errors are larger"
 )
@@ -48,9 +48,9 @@ def of_object(loaded: Loaded, name: str) -> Iterator[Finding]:
         share = told_share(definition, rig, poses, as_fitted(loaded.config, rig, definition, camera))
     except InputError:
         return  # the check of definitions or of the object's photographs says so
-    if share < _MOST:
+    if share < _LEAST:
         given = {"file": file, "field": field, "count": len(poses), "s": "s"[: len(poses) != 1], "name": name}
-        yield Finding(False, _OPEN.format(share=share, most=_MOST, **given))
+        yield Finding(False, _OPEN.format(share=share, least=_LEAST, **given))
 
 
 def told_share(definition: Object, rig: Rig, poses: Sequence[Pose], fitted: Mapping[str, Any]) -> float:

@@ -134,7 +134,7 @@ def test_poses_that_the_planner_chooses_tell_gloss(project, monkeypatch):
 )
 def test_angles_are_judged_with_the_weights_noise_and_limit_of_the_fit(project, monkeypatch, where, change):
     monkeypatch.chdir(project)
-    monkeypatch.setattr(angles, "_MOST", 2.0)  # so that the share is always said
+    monkeypatch.setattr(angles, "_LEAST", 2.0)  # so that the share is always said
     loaded = load_project([])
     groups = [{"light_deg": [45.0], "camera_deg": [0.0, 30.0, 40.0, 48.0]}, {"light_deg": [60.0], "camera_deg": [58.0]}]
     plate, camera, rig = definitions(poses=groups)
