@@ -53,6 +53,10 @@ class _Library(JITCodeLibrary):
                 manager, builder = self._codegen._function_pass_manager()
                 manager.run(function, builder)
 
+    def finalize(self) -> None:
+        self._linking_libraries = _called(self._linking_libraries)
+        super().finalize()
+
 
 class _SeparateCopies(_Library):
     """Compiled code that always calls the copies of other functions with which it was compiled.
@@ -72,15 +76,35 @@ class _SeparateCopies(_Library):
 
 
 class _ForLinking(_Library):
-    """Code that is only linked into callers, where it is optimised and converted to machine code."""
+    """Code that is only linked into kernels, where it is optimised and converted to machine code.
 
-    def _optimize_final_module(self) -> None:
-        pass
+    It contains none of the functions that it calls: with them, a function would be copied once for each level of calls
+    between it and the kernel.
+    """
 
-    def _finalize_final_module(self) -> None:
+    def finalize(self) -> None:
+        self._raise_if_finalized()
         self._finalize_dynamic_globals()
-        self._verify_declare_only_symbols()
         self._finalized = True
+
+
+def _called(libraries: list) -> list:
+    """Return libraries and all that those of them call which are only linked, each once and after all of its callers.
+
+    Of a function that nothing calls yet, the linker keeps nothing.
+    """
+    found: dict = {}
+
+    def add(library) -> None:
+        if library not in found:
+            if isinstance(library, _ForLinking):
+                for called in library._linking_libraries:
+                    add(called)
+            found[library] = None
+
+    for library in libraries:
+        add(library)
+    return list(reversed(found))
 
 
 @contextmanager
