@@ -30,12 +30,15 @@ def use_whole_vectors() -> None:
     vectors. With 512 bits the loops of the fit take half the time. There is no effect on other processors, or if
     ``NUMBA_CPU_FEATURES`` is set.
     """
+    binding.set_option("", f"-memdep-block-scan-limit={_LOOK_BACK}")
     if numba.config.CPU_FEATURES is None:
         features = binding.get_host_cpu_features()
         if features.get("avx512f"):
             numba.config.CPU_FEATURES = f"{features.flatten()},-prefer-256-bit"
 
 
+#: Most instructions that LLVM looks back on, within one block, for what a load from memory may read; its own is 100.
+_LOOK_BACK = 20
 #: Packages whose compiled functions, except kernels, are used only within kernels. The module name of bodies of
 #: parallel loops is ``<dynamic>``.
 _NEVER_CALLED_BY_PYTHON = ("numba", "<dynamic>", "irodori")

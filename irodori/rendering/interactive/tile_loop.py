@@ -6,6 +6,7 @@ import numpy as np
 
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.functions import as_float, root, select
+from irodori.jit.references import referred
 from irodori.jit.vector_memory import (
     compress,
     lane,
@@ -548,8 +549,9 @@ def _add_parts(job, scratch, count, corner, listed):
 
 
 @uncounted()
-def _render_tiles(job, target, singles, doubles, first, last):
-    scratch = scratch_in(job, singles, doubles, target.figures[first * FIGURES :])
+def _render_tiles(whole_job, whole_target, singles, doubles, first, last):
+    job, target = referred(whole_job), referred(whole_target)
+    scratch = referred(scratch_in(job, singles, doubles, target.figures[first * FIGURES :]))
     for tile in range(first, last):
         _render_tile(job, scratch, tile, target)
 

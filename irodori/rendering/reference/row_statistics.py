@@ -7,6 +7,7 @@ import numpy as np
 
 from irodori.geometry.embree import new_ray
 from irodori.jit.compilation import njit, uncounted
+from irodori.jit.references import referred
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.glints import AIMED, Glints, fill_glint_shares, weight_in_pixel
 from irodori.rendering.reference.paths import MIRRORED, follow
@@ -103,7 +104,8 @@ def _render_pixel(sampling, ray, work, pixel, samples, sums):
 
     ``pixel`` has column and row; ``samples`` is the number of paths of a replicate.
     """
-    (world, camera, numbers, glints), (x, y), cut = sampling, pixel, 0
+    world, camera, numbers, glints = sampling.world, sampling.camera, sampling.numbers, sampling.glints
+    (x, y), cut = pixel, 0
     has_glints = has_images(world.images) and fill_glint_shares(world.images, glints, x, y, work.glint)
     size, share = numbers.points.shape[1], 1.0 / samples
     mirrored = samples / ((samples + MIRRORED - 1) // MIRRORED)
@@ -135,12 +137,10 @@ def _render_pixel(sampling, ray, work, pixel, samples, sums):
     return cut
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
-def render_some_rows(sampling, rows, first, last):
-    """Render the rows from ``first`` to before ``last`` of `Rows`."""
-    ray, work, count = new_ray(), new_work(sampling.world), sampling.numbers.replicates
-    shifts, by_band = np.empty(DIMENSIONS, np.uint32), rows.error.shape[2] == BANDS
-    sums = _Sums(np.empty((count, PADDED)), np.empty(PADDED), np.empty(PADDED), shifts)
+@uncounted(fastmath={"contract", "reassoc", "nsz"})
+def _render_rows(whole_sampling, rows, buffers, sums, first, last):
+    sampling, count, by_band = referred(whole_sampling), whole_sampling.numbers.replicates, rows.error.shape[2] == BANDS
+    ray, work = buffers[0], referred(buffers[1])
     for row in range(first, last):
         for x in range(rows.places.shape[1]):
             for part in range(SEEN):
@@ -168,3 +168,11 @@ def render_some_rows(sampling, rows, first, last):
                 for band in range(BANDS):
                     whole += sums.spread[band]
                 rows.error[row, x, 0] = math.sqrt(whole / BANDS)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def render_some_rows(sampling, rows, first, last):
+    """Render the rows from ``first`` to before ``last`` of `Rows`."""
+    count = sampling.numbers.replicates
+    sums = _Sums(np.empty((count, PADDED)), np.empty(PADDED), np.empty(PADDED), np.empty(DIMENSIONS, np.uint32))
+    _render_rows(sampling, rows, (new_ray(), new_work(sampling.world)), sums, first, last)

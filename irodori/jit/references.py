@@ -1,0 +1,85 @@
+"""Named tuples in memory that compiled functions hand on by their address.
+
+numba hands on a tuple as one argument for each number in it, and for each array of it seven. A scene has hundreds, which
+every function of a kernel would take apart and put together again for each of its calls, and compiling this took longer
+than compiling all else.
+"""
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.errors import NumbaTypeError
+from numba.core.imputils import impl_ret_borrowed, lower_getattr_generic
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import intrinsic, models, register_model
+
+
+class Reference(types.Type):
+    """Address of a named tuple that nothing changes; its fields are read as those of the tuple itself.
+
+    Parameters
+    ----------
+    target : numba type of a named tuple
+    """
+
+    def __init__(self, target) -> None:
+        self.target = target
+        super().__init__(name=f"Reference({target.name})")
+
+    @property
+    def instance_class(self) -> type:
+        """Class of the named tuple, as of its own numba type."""
+        return self.target.instance_class
+
+
+@register_model(Reference)
+class _ReferenceModel(models.PrimitiveModel):
+    def __init__(self, manager, reference) -> None:
+        super().__init__(manager, reference, manager.lookup(reference.target).get_value_type().as_pointer())
+
+
+@intrinsic
+def referred(typingctx, value):
+    """Return a `Reference` to a copy of a named tuple, for functions that are called; it ends with the caller."""
+    if not isinstance(value, types.BaseNamedTuple):
+        return None
+
+    def codegen(context, builder, signature, arguments):
+        if context.enable_nrt:
+            raise NumbaTypeError("references are made in uncounted functions, which free no array meanwhile")
+        return cgutils.alloca_once_value(builder, arguments[0])
+
+    return Reference(value)(value), codegen
+
+
+@infer_getattr
+class _FieldTypes(AttributeTemplate):
+    key = Reference
+
+    def generic_resolve(self, reference, name):
+        if name not in reference.target.fields:
+            return None
+        field = reference.target.types[reference.target.fields.index(name)]
+        return Reference(field) if isinstance(field, types.BaseNamedTuple) else field
+
+
+@lower_getattr_generic(Reference)
+def _field(context, builder, reference, pointer, name):
+    at = reference.target.fields.index(name)
+    field, place = reference.target.types[at], cgutils.gep_inbounds(builder, pointer, 0, at)
+    if isinstance(field, types.BaseNamedTuple):
+        return place
+    return impl_ret_borrowed(context, builder, field, _load(builder, place))
+
+
+def _load(builder, place):
+    """Load a value number by number, each as one that never changes, so that it may be read once before a loop."""
+    kind = place.type.pointee
+    if not isinstance(kind, ir.LiteralStructType | ir.ArrayType):
+        loaded = builder.load(place)
+        loaded.set_metadata("invariant.load", builder.module.add_metadata([]))
+        return loaded
+    whole = ir.Constant(kind, ir.Undefined)
+    for at in range(len(kind.elements) if isinstance(kind, ir.LiteralStructType) else kind.count):
+        whole = builder.insert_value(whole, _load(builder, cgutils.gep_inbounds(builder, place, 0, at)), at)
+    return whole
