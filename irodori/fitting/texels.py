@@ -26,6 +26,7 @@ from irodori.fitting.vectorised_texels import NOISY, SURE, fit_eight, new_eight,
 from irodori.jit.array_copies import copy_into
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit, uncounted
+from irodori.jit.references import referred
 from irodori.jit.vector_memory import aligned
 from irodori.jit.vectors import LANES
 from irodori.reflection.lobes import Lobes
@@ -336,9 +337,10 @@ def _fit_chunk(problem, rules, shared, out, first, last):
 
 
 @uncounted(error_model="numpy")
-def _fit_range(task, room, eight, out, first, last):
+def _fit_range(given, room, eight, arrays, first, last):
     """Fit texels eight at a time, and singly those for which that is not possible."""
-    problem, rules, shared = task
+    task, out = referred(given), referred(arrays)
+    problem, rules, shared = task.problem, task.rules, task.shared
     # One geometry without its tables, with which tests compare, goes the way of single texels.
     together = problem.geometry.shape[0] > 1 or shared.nodes.shape[1] > 0
     for batch in range(first, last, LANES):

@@ -13,6 +13,7 @@ from irodori.core.progress import LOGGER
 from irodori.geometry.embree import new_ray
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit, uncounted
+from irodori.jit.references import referred
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.converging_picture import TracedScene
@@ -44,25 +45,15 @@ class Places(NamedTuple):
     lamps: bool  # whether direct light of the scene's lights other than the environment is added
 
 
-@uncounted(forceinline=True)
-def _gather_once(world, buffers, numbers, of_sample, start):
-    """Trace one path of a place; ``of_sample`` has the arguments of `stream_of`, ``start`` the last of `gather`.
-
-    The stream holds an array: a function that counts references would free that once for every path.
-    """
-    ray, work = buffers
-    return gather(world, ray, work, numbers, stream_of(numbers, *of_sample), start)
-
-
-@njit(cache=True, nogil=True)
-def _gather_at_some(world, numbers, places, first, last):
-    """Trace the paths of the points from ``first`` to before ``last`` and fill their ``halves``."""
-    ray, work, whole = new_ray(), new_work(world), np.empty(BANDS)
-    shifts, size = np.empty(DIMENSIONS, np.uint32), numbers.points.shape[1]
+@uncounted()
+def _gather_range(scene, numbers, places, buffers, first, last):
+    world, ray, work, size = referred(scene), buffers[0], referred(buffers[1]), numbers.points.shape[1]
+    whole, shifts = buffers[2], buffers[3]
     for place in range(first, last):
         for replicate in range(_REPLICATES):
             key = pixel_key(places.key[place], 0, replicate, numbers.seed)
-            whole[:] = 0.0
+            for band in range(BANDS):
+                whole[band] = 0.0
             for sample in range(numbers.samples):
                 if sample % size == 0:
                     own = (places.key[place], 0, numbers.samples)
@@ -73,12 +64,19 @@ def _gather_at_some(world, numbers, places, first, last):
                     work.facet[axis] = places.facet[place, axis]
                 for band in range(PADDED):
                     work.total[band] = np.float32(0.0)
-                of_sample, start = (key, replicate, sample, shifts), (places.surface[place], places.lamps)
-                places.cut[place] += _gather_once(world, (ray, work), numbers, of_sample, start)
+                stream, start = stream_of(numbers, key, replicate, sample, shifts), (places.surface[place], places.lamps)
+                places.cut[place] += gather(world, ray, work, numbers, stream, start)
                 for band in range(BANDS):
                     whole[band] += work.total[band]
             for band in range(BANDS):
                 places.halves[replicate, place, band] = whole[band] / numbers.samples
+
+
+@njit(cache=True, nogil=True)
+def _gather_at_some(world, numbers, places, first, last):
+    """Trace the paths of the points from ``first`` to before ``last`` and fill their ``halves``."""
+    buffers = new_ray(), new_work(world), np.empty(BANDS), np.empty(DIMENSIONS, np.uint32)
+    _gather_range(world, numbers, places, buffers, first, last)
 
 
 def incident_light(
