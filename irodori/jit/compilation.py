@@ -30,15 +30,12 @@ def use_whole_vectors() -> None:
     vectors. With 512 bits the loops of the fit take half the time. There is no effect on other processors, or if
     ``NUMBA_CPU_FEATURES`` is set.
     """
-    binding.set_option("", f"-memdep-block-scan-limit={_LOOK_BACK}")
     if numba.config.CPU_FEATURES is None:
         features = binding.get_host_cpu_features()
         if features.get("avx512f"):
             numba.config.CPU_FEATURES = f"{features.flatten()},-prefer-256-bit"
 
 
-#: Most instructions that LLVM looks back on, within one block, for what a load from memory may read; its own is 100.
-_LOOK_BACK = 20
 #: Packages whose compiled functions, except kernels, are used only within kernels. The module name of bodies of
 #: parallel loops is ``<dynamic>``.
 _NEVER_CALLED_BY_PYTHON = ("numba", "<dynamic>", "irodori")
@@ -57,7 +54,7 @@ class _Library(JITCodeLibrary):
                 manager.run(function, builder)
 
     def finalize(self) -> None:
-        self._linking_libraries = _called(self._linking_libraries)
+        self._linking_libraries: list = _called(self._linking_libraries)
         super().finalize()
 
 
@@ -330,3 +327,6 @@ def uncounted(*, cache=True, **options):
 
 
 use_whole_vectors()
+# LLVM looks back over up to 100 instructions for what a load from memory reads. For kernels whose functions hand on
+# tuples by address, which load them field by field, this took a third of the compilation; 20 give code as fast.
+binding.set_option("", "-memdep-block-scan-limit=20")

@@ -7,8 +7,13 @@ from irodori.jit.compilation import njit
 
 
 @numba.njit
+def half_of_it(x):
+    return x
+
+
+@numba.njit
 def somebody_elses(x):
-    return 2.0 * x
+    return half_of_it(x) + half_of_it(x)
 
 
 @njit(parallel=True)

@@ -64,7 +64,10 @@ def _gather_range(scene, numbers, places, buffers, first, last):
                     work.facet[axis] = places.facet[place, axis]
                 for band in range(PADDED):
                     work.total[band] = np.float32(0.0)
-                stream, start = stream_of(numbers, key, replicate, sample, shifts), (places.surface[place], places.lamps)
+                stream, start = (
+                    stream_of(numbers, key, replicate, sample, shifts),
+                    (places.surface[place], places.lamps),
+                )
                 places.cut[place] += gather(world, ray, work, numbers, stream, start)
                 for band in range(BANDS):
                     whole[band] += work.total[band]
