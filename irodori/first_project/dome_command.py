@@ -12,7 +12,7 @@ from irodori.core.file_kinds import IF_LINEAR
 from irodori.evaluation.left_out_photographs import Prediction, fit_known_shape, predict_left_out
 from irodori.first_project.dome_files import Measured, SurfaceMaps, write_dome
 from irodori.first_project.dome_photographs import DomePhotographs, Places, read_photographs, refuse_dark
-from irodori.first_project.lights_command import add_names, add_outline, asked_circle, asked_mask, names_of
+from irodori.first_project.lights_command import add_names, add_outline, asked_circle, asked_mask, paired
 from irodori.fitting.one_gloss import MATT
 from irodori.fitting.unknown_shape import fit_unknown_shape, register_unknown_shape
 from irodori.rectification.circle_search import Circle
@@ -64,10 +64,10 @@ def main(arguments: list[str] | None = None, prog: str = "irodori dome") -> int:
 
 
 def _measure(asked: argparse.Namespace) -> int:
-    photographs = read_photographs(asked)
+    files, listed = paired(asked)
+    photographs = read_photographs(files, asked.lights, asked.linear)
     if asked.error_deg is None:
         asked.error_deg = _ERROR_DEG if photographs.level is None else 0.0
-    listed = names_of(asked, photographs.names)
     circle = _circle(asked, photographs)
     measured = _ball(asked, photographs, circle) if circle is not None else None
     if measured is not None and asked.shape == "auto" and _is_no_ball(asked, photographs, measured):

@@ -1,6 +1,5 @@
 """Photographs of a dome: one fixed camera, one lamp after another."""
 
-import argparse
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -10,8 +9,7 @@ import numpy as np
 from irodori.core.errors import InputError
 from irodori.core.file_kinds import IF_LINEAR, is_picture, kind_instead_of_raw
 from irodori.first_project.light_places import photograph_key, read_lamps
-from irodori.first_project.lights_command import is_mask, same_size
-from irodori.first_project.photograph_order import in_counting_order
+from irodori.first_project.lights_command import same_size
 from irodori.ingest.first_look import SetNumbers
 from irodori.ingest.mosaic import decode
 
@@ -71,8 +69,16 @@ class DomePhotographs(NamedTuple):
         return Places(response, usable, inside)
 
 
-def read_photographs(asked: argparse.Namespace) -> DomePhotographs:
-    """Read the photographs, and their lamps from a light-position file or a table of lamps.
+def read_photographs(files: list[Path], lights, linear: bool = False) -> DomePhotographs:
+    """Read photographs, and their lamps from a light-position file or a table of lamps.
+
+    Parameters
+    ----------
+    files : list of Path
+    lights : path
+        The light-position file or table of lamps.
+    linear : bool
+        Whether TIFF and PNG pictures have numbers proportional to the light.
 
     Raises
     ------
@@ -80,19 +86,18 @@ def read_photographs(asked: argparse.Namespace) -> DomePhotographs:
         If there are fewer than five photographs, one has no lamp or another size than the first, or is a TIFF or PNG
         picture that is not said to be linear.
     """
-    files = [Path(name) for name in in_counting_order(asked.photographs) if not is_mask(name, asked)]
-    stated, levels = read_lamps(asked.lights)
+    stated, levels = read_lamps(lights)
     for file in files:
         if photograph_key(file.name) not in stated:
-            raise InputError(asked.lights, "", f"no place of a lamp for {file.name}", "each photograph by its name")
-        if is_picture(file) and not asked.linear:
+            raise InputError(lights, "", f"no place of a lamp for {file.name}", "each photograph by its name")
+        if is_picture(file) and not linear:
             found = kind_instead_of_raw(file) or "a TIFF picture"
             raise InputError(file, "", found, f"RAW files; or --linear, {IF_LINEAR}")
     if len(files) < _FEWEST:
-        raise InputError(asked.lights, "", f"{len(files)} photographs", f"{_FEWEST} or more, each under another lamp")
+        raise InputError(lights, "", f"{len(files)} photographs", f"{_FEWEST} or more, each under another lamp")
     green, usable, numbers = [], [], SetNumbers()
     for file in files:
-        mosaic = decode(file, asked.linear)
+        mosaic = decode(file, linear)
         green.append((mosaic.superpixels[..., _GREEN] / (mosaic.full_scale * (mosaic.exposure_s or 1.0))).astype("f4"))
         usable.append(mosaic.largest < _CLIPPED)
         for words in numbers.warnings(file, mosaic):

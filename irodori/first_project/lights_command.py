@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from irodori.config.capture_table import light_angles_deg
 from irodori.core.errors import InputError
 from irodori.first_project.mirror_highlights import brightness, lamp_direction, outline, write_light_places
-from irodori.first_project.photograph_order import in_counting_order, refuse_untold_order
+from irodori.first_project.photograph_order import ORDERS, in_counting_order, in_order
+from irodori.ingest.plausibility import camera_time
 from irodori.rectification.circle_search import Circle, circle_of_mask
 
 
@@ -43,33 +45,44 @@ def add_outline(parser: argparse.ArgumentParser) -> None:
 
 
 def add_names(parser: argparse.ArgumentParser, where: str) -> None:
-    """Add the command-line option ``--names``: photographs whose names are listed in place of those of the ball."""
+    """Add ``--names``, photographs whose names are listed in place of those of the ball, and ``--order`` for both."""
     names = f"photographs of the object under the same lamps in the same order, whose names are to be listed {where}"
     parser.add_argument("--names", nargs="+", metavar="PHOTOGRAPH", help=names)
+    order = "with --names: right order of photographs where the camera's clock and file names contradict each other"
+    parser.add_argument("--order", choices=ORDERS, default="", help=order)
 
 
-def names_of(asked: argparse.Namespace, own: list[str]) -> list[str]:
-    """Return the names to list: those of ``--names`` in counting order, or those of the photographs of the ball.
+def paired(asked: argparse.Namespace) -> tuple[list[Path], list[str]]:
+    """Return the photographs of the ball, and for each the name to list: its own, or that of ``--names``.
+
+    With ``--names``, both are in the order in which they were taken, else in counting order.
 
     Raises
     ------
     InputError
-        If there are not as many names as photographs of the ball, or it cannot be told in which order they count.
+        If there are not as many names as photographs of the ball, or it cannot be told in which order they were taken.
     """
+    files = [Path(name) for name in in_counting_order(asked.photographs) if not is_mask(name, asked)]
     if not asked.names:
-        return own
-    listed = in_counting_order(asked.names)
-    if len(listed) != len(own):
-        found = f"{len(own)} photographs of the ball and {len(listed)} names"
+        return files, [file.name for file in files]
+    if len(asked.names) != len(files):
+        found = f"{len(files)} photographs of the ball and {len(asked.names)} names"
         raise InputError("--names", "", found, "one name for each photograph")
-    refuse_untold_order(own)
-    refuse_untold_order(listed)
-    return listed
+    return _as_taken(files, asked), [path.name for path in _as_taken(map(Path, asked.names), asked)]
+
+
+def _as_taken(paths: Iterable[Path], asked: argparse.Namespace) -> list[Path]:
+    """Sort photographs of one folder as they were taken; those to list need not be at hand.
+
+    ``--order clock`` is for the folder whose files state their time, if those of the other do not.
+    """
+    times = {path: camera_time(path) if path.is_file() else "" for path in paths}
+    said = asked.order if asked.order == "names" or any(times.values()) else ""
+    return in_order(times, said)[0]
 
 
 def _write(asked: argparse.Namespace) -> int:
-    files = [Path(name) for name in in_counting_order(asked.photographs) if not is_mask(name, asked)]
-    listed = names_of(asked, [str(file) for file in files])
+    files, listed = paired(asked)
     pictures = [brightness(file) for file in files]
     same_size(files, pictures)
     circle = asked_circle(asked, pictures, files[0])
@@ -77,7 +90,7 @@ def _write(asked: argparse.Namespace) -> int:
     places = {}
     for file, name, picture in zip(files, listed, pictures, strict=True):
         direction = lamp_direction(picture, circle, file)
-        places[Path(name).name] = direction
+        places[name] = direction
         angle_deg, azimuth_deg = light_angles_deg(direction)
         print(f"{file.name}: light_deg {angle_deg:.1f}, light_azimuth_deg {azimuth_deg:.1f}")
     write_light_places(asked.into, places)

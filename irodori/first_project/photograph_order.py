@@ -74,13 +74,6 @@ def in_counting_order(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda name: _key(name, restarts))
 
 
-def refuse_untold_order(names: Iterable[str]) -> None:
-    """Raise `InputError` if names do not tell whether a camera's count began again after 9999."""
-    for restart in _restarts(names).values():
-        if not restart.is_sure:
-            raise _untold(restart)
-
-
 def in_order(times: Mapping[Path, str], said: str = "") -> tuple[list[Path], str]:
     """Sort the photographs of one camera in the order in which they were taken.
 

@@ -66,6 +66,9 @@ class Mosaic:
         one pixel of the picture, with green twice, see `irodori.ingest.linear_pictures`.
     early_clipping : str
         Warning about saturation below the white level of the file; empty if there is none.
+    time : str
+        Time of the camera's clock as LibRaw reads it, ISO 8601, whole seconds; empty if the file states none. In a file
+        with TIFF tags it may be that of a later change of the file.
     """
 
     values: np.ndarray
@@ -80,6 +83,7 @@ class Mosaic:
     focal_mm: float = 0.0
     linear: bool = False
     early_clipping: str = ""
+    time: str = ""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -257,6 +261,8 @@ def _mosaic(path: Path, raw) -> Mosaic:
         orientation=int(raw.sizes.flip),
         focal_mm=_stated(other.focal_length),
         early_clipping=_early_clipping(values, white, saturated),
+        # LibRaw's number for a file that states none is 0, the beginning of 1970 in Greenwich.
+        time=other.timestamp.isoformat() if other.timestamp.timestamp() > 0 else "",
     )
 
 

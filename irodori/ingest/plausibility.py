@@ -18,8 +18,10 @@ from functools import cached_property
 import numpy as np
 
 from irodori.config.capture_table import DRIFT, Shot, flat_incidence_rad
+from irodori.core.errors import InputError
+from irodori.core.file_kinds import kind_instead_of_raw
 from irodori.ingest.exposure_settings import relative_exposure_s
-from irodori.ingest.mosaic import Mosaic
+from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.tiff_tags import read_tags
 
 #: Smallest width of the reduced pictures for comparison, blocks of superpixels.
@@ -258,16 +260,14 @@ def look_at(path, mosaic: Mosaic, *, thumbnail: bool = False) -> Look:
     """
     side = _side(mosaic, _THUMBNAIL_PX if thumbnail else _SMALL_PX)
     bands, clipped, dark = _reduced(mosaic, side)
-    texts = {
-        tag.number: str(tag.values[0]) for tag in read_tags(path, (_MAKE, _MODEL, _TIME, _FRACTION, _SERIAL, _LENS))
-    }
+    texts = _texts(path)
     named = dict.fromkeys(texts[key] for key in (_MAKE, _MODEL, _SERIAL) if texts.get(key))
     return Look(
         size=mosaic.size,
         pixels=hashlib.blake2b(mosaic.values[::_HASHED].tobytes(), digest_size=16).hexdigest(),
         camera=" ".join(named),
         lens=texts.get(_LENS, ""),
-        time=_iso_time(texts.get(_TIME, ""), texts.get(_FRACTION, "")),
+        time=_stated_time(texts) if texts else mosaic.time,
         clipped=float(clipped.mean()),
         dark=float(dark.mean()),
         sharpness=_sharpness(mosaic),
@@ -277,6 +277,29 @@ def look_at(path, mosaic: Mosaic, *, thumbnail: bool = False) -> Look:
         is_thumbnail=thumbnail,
         pattern="" if mosaic.linear else mosaic.pattern,
     )
+
+
+def camera_time(path) -> str:
+    """Return the time of the camera's clock, ISO 8601; empty if a file states none, or is no RAW file or picture.
+
+    Formats without TIFF tags, such as CRW, are read by LibRaw.
+    """
+    texts = _texts(path)
+    if texts or kind_instead_of_raw(path):
+        return _stated_time(texts)
+    try:
+        return decode(path).time
+    except InputError:
+        return ""
+
+
+def _texts(path) -> dict[int, str]:
+    tags = read_tags(path, (_MAKE, _MODEL, _TIME, _FRACTION, _SERIAL, _LENS))
+    return {tag.number: str(tag.values[0]) for tag in tags}
+
+
+def _stated_time(texts: dict[int, str]) -> str:
+    return _iso_time(texts.get(_TIME, ""), texts.get(_FRACTION, ""))
 
 
 def _iso_time(stated: str, fraction: str) -> str:

@@ -1,4 +1,4 @@
-"""Reading of TIFF tags that LibRaw does not report; most RAW formats are based on TIFF.
+"""Reading of TIFF tags that LibRaw does not report; most RAW formats are based on TIFF, and others contain TIFFs.
 
 The tags are read directly, to limit time and memory for damaged files: libraries that read whole directories create as
 many objects as a count in the file states, which after a single bit error may be a thousand million.
@@ -9,6 +9,8 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+from irodori.ingest.embedded_tiffs import embedded_tiffs
 
 SHORT, LONG, RATIONAL = 3, 4, 5
 _ASCII, _IFD = 2, 13
@@ -36,15 +38,15 @@ def read_tags(path, wanted: tuple[int, ...]) -> list[Tag]:
     Parameters
     ----------
     path : path
-        Any file. A file that is not a TIFF has no tags; tags beyond the end of a truncated file are ignored.
+        Any file. One without a TIFF, see `irodori.ingest.embedded_tiffs`, has no tags; tags beyond the end of a
+        truncated file are ignored.
     wanted : tuple of int
         Numbers of tags that hold a few integers or rational numbers, or a text.
     """
     if Path(path).stat().st_size == 0:
         return []
     with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        order = {b"II*\0": "<", b"MM\0*": ">"}.get(content[:4])
-        return [] if order is None else list(_tags(content, order, wanted))
+        return [tag for tiff, order in embedded_tiffs(content) for tag in _tags(tiff, order, wanted)]
 
 
 def _tags(content, order: str, wanted: tuple[int, ...]) -> Iterator[Tag]:

@@ -2,7 +2,6 @@
 
 import csv
 import shutil
-from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -220,9 +219,8 @@ def test_photographs_are_read_whether_or_not_their_names_tell_an_order(folder):
         Path(f"My ball/{at}.png").rename(f"My ball/iso_{number:04d}.png")
     lights = {f"iso_{number:04d}.png": DIRECTIONS[at] for at, number in enumerate(numbers)}
     write_light_places("iso.lp", lights)
-    asked = Namespace(photographs=[f"My ball/{name}" for name in lights], mask=None, lights="iso.lp", linear=True)
-    read = read_photographs(asked)
-    assert read.names == sorted(lights)
+    read = read_photographs([Path("My ball", name) for name in lights], "iso.lp", linear=True)
+    assert read.names == list(lights)
     assert np.allclose(read.direction, [lights[name] for name in read.names], atol=1e-3)
 
 

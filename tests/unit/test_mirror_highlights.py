@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from documented import of_kind, words_of
 from dome_pictures import BALL, SIZE, eight_bits, lamps, mirror_ball, supersampled
 from linear_files import write_samples
@@ -121,13 +122,43 @@ def test_the_order_of_names_matters_only_where_other_names_are_listed(folder, ca
         assert main(["lights", *ball, *circle, "--names", *names]) == 2
         said = capsys.readouterr().err
         assert "img_9500.png: found numbers up to img_9500.png, after which" in said and said.count("\n") == 1
-        assert said.endswith("accepted: names that tell, such as a-img_9500.png before b-img_0500.png if it has.\n")
+        names = "names that tell, such as a-img_9500.png before b-img_0500.png if it has.\n"
+        assert said.endswith(f"accepted: --order names if it has not, or {names}")
         assert not Path("lights.lp").exists()
     renamed = ["a-img_9500.png", *(f"b-{name}" for name in own[:3])]
     for name, new in zip([own[3], *own[:3]], renamed, strict=True):
         Path(name).rename(new)
     assert main(["lights", *renamed, *circle, "--names", *plain]) == 0
     assert apart_deg(read_light_places("lights.lp")["plate_1"], lamps(11)[3]) < 1.0
+
+
+def test_the_clock_tells_which_photograph_of_the_object_each_lamp_lit(folder, capsys):
+    """Names that do not count photographs, and a count that began again, by the times in the files."""
+    Path("plate").mkdir()
+
+    def taken(*names: str) -> list[str]:
+        for minute, name in enumerate(names):
+            tags = [(36867, "s", 0, f"2026:11:23 08:{minute:02d}:00", True)]
+            tifffile.imwrite(f"plate/{name}", np.zeros((2, 2), np.uint16), extratags=tags, metadata=None)
+        return [f"plate/{name}" for name in names]
+
+    begun_again = [f"IMG_{number:04d}.tif" for number in (9990, 9994, 9998, 3, 4, 5, 6, 7, 8, 9, 10)]
+    turned = [f"{letter}-side.tif" for letter in "hbkacdegfij"]
+    words = ["lights", *folder, "--circle", *map(str, BALL)]
+    for names in (begun_again, turned):
+        assert main([*words, "--names", *sorted(taken(*names))]) == 0
+        for name, lamp in zip(names, lamps(11), strict=True):
+            assert apart_deg(read_light_places("lights.lp")[name[:-4].lower()], lamp) < 1.0
+    Path("lights.lp").unlink()
+    capsys.readouterr()
+    backwards = taken(*(f"IMG_{number:04d}.tif" for number in range(20, 9, -1)))
+    assert main([*words, "--names", *backwards]) == 2
+    said = capsys.readouterr().err
+    assert "IMG_0011.tif: time: found 2026-11-23T08:09:00, before 2026-11-23T08:10:00 of IMG_0010.tif" in said
+    assert "--order names if" in said and said.count("\n") == 1 and not Path("lights.lp").exists()
+    for order, first in (("names", "img_0010"), ("clock", "img_0020")):
+        assert main([*words, "--names", *backwards, "--order", order]) == 0
+        assert apart_deg(read_light_places("lights.lp")[first], lamps(11)[0]) < 1.0
 
 
 @pytest.mark.parametrize("command", of_kind("lights"))
