@@ -26,7 +26,7 @@ from irodori.fitting.vectorised_texels import NOISY, SURE, fit_eight, new_eight,
 from irodori.jit.array_copies import copy_into
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit, uncounted
-from irodori.jit.references import referred
+from irodori.jit.references import address_of, at_address
 from irodori.jit.vector_memory import aligned
 from irodori.jit.vectors import LANES
 from irodori.reflection.lobes import Lobes
@@ -337,9 +337,14 @@ def _fit_chunk(problem, rules, shared, out, first, last):
 
 
 @uncounted(error_model="numpy")
-def _fit_range(given, room, eight, arrays, first, last):
+def _fit_range(task, room, eight, out, first, last):
+    _fit_each(address_of(task), room, eight, address_of(out), first, last)
+
+
+@uncounted(error_model="numpy")
+def _fit_each(task_at, room, eight, out_at, first, last):
     """Fit texels eight at a time, and singly those for which that is not possible."""
-    task, out = referred(given), referred(arrays)
+    task, out = at_address(task_at), at_address(out_at)
     problem, rules, shared = task.problem, task.rules, task.shared
     # One geometry without its tables, with which tests compare, goes the way of single texels.
     together = problem.geometry.shape[0] > 1 or shared.nodes.shape[1] > 0

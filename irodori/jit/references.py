@@ -15,7 +15,7 @@ from numba.extending import intrinsic, models, register_model
 
 
 class Reference(types.Type):
-    """Address of a named tuple that nothing changes; its fields are read as those of the tuple itself.
+    """Address of a named tuple that does not change; its fields are read as those of the tuple itself.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class Reference(types.Type):
 
     def __init__(self, target) -> None:
         self.target = target
-        super().__init__(name=f"Reference({target.name})")
+        super().__init__(name=f"{type(self).__name__}({target.name})")
 
     @property
     def instance_class(self) -> type:
@@ -32,24 +32,49 @@ class Reference(types.Type):
         return self.target.instance_class
 
 
+class Address(Reference):
+    """The same in the function that wrote the tuple, in which nothing is read from it."""
+
+
 @register_model(Reference)
-class _ReferenceModel(models.PrimitiveModel):
-    def __init__(self, manager, reference) -> None:
-        super().__init__(manager, reference, manager.lookup(reference.target).get_value_type().as_pointer())
+@register_model(Address)
+class _AddressModel(models.PrimitiveModel):
+    def __init__(self, manager, address) -> None:
+        super().__init__(manager, address, manager.lookup(address.target).get_value_type().as_pointer())
 
 
 @intrinsic
-def referred(typingctx, value):
-    """Return a `Reference` to a copy of a named tuple, for functions that are called; it ends with the caller."""
+def address_of(typingctx, value):
+    """Write a named tuple to memory and return its `Address`, for functions that are called; it ends with the caller.
+
+    Only uncounted functions may do so: others would free arrays of the tuple at their last use by name.
+    """
     if not isinstance(value, types.BaseNamedTuple):
         return None
 
     def codegen(context, builder, signature, arguments):
         if context.enable_nrt:
-            raise NumbaTypeError("references are made in uncounted functions, which free no array meanwhile")
+            raise NumbaTypeError("addresses are taken in uncounted functions, which free no array meanwhile")
         return cgutils.alloca_once_value(builder, arguments[0])
 
-    return Reference(value)(value), codegen
+    return Address(value)(value), codegen
+
+
+@intrinsic
+def at_address(typingctx, address):
+    """Return the `Reference` to a named tuple whose address was handed on.
+
+    The function that calls this is never made a part of its callers. Within it nothing changes the tuple, which the
+    compiler is told; within the one that writes it, that would not be true.
+    """
+    if not isinstance(address, Address):
+        return None
+
+    def codegen(context, builder, signature, arguments):
+        builder.function.attributes.add("noinline")
+        return arguments[0]
+
+    return Reference(address.target)(address), codegen
 
 
 @infer_getattr
@@ -57,7 +82,7 @@ class _FieldTypes(AttributeTemplate):
     key = Reference
 
     def generic_resolve(self, reference, name):
-        if name not in reference.target.fields:
+        if isinstance(reference, Address) or name not in reference.target.fields:
             return None
         field = reference.target.types[reference.target.fields.index(name)]
         return Reference(field) if isinstance(field, types.BaseNamedTuple) else field

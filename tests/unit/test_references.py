@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from irodori.jit.compilation import njit, uncounted
-from irodori.jit.references import referred
+from irodori.jit.references import address_of, at_address
 
 
 class Place(NamedTuple):
@@ -48,8 +48,13 @@ def _handed_on(outer):
 
 
 @uncounted()
+def _at_address(whole_at):
+    return _handed_on(at_address(whole_at))
+
+
+@uncounted()
 def _by_address(whole):
-    return _handed_on(referred(whole))
+    return _at_address(address_of(whole))
 
 
 @uncounted()
@@ -75,47 +80,64 @@ def test_fields_of_any_kind_are_those_of_the_tuple_and_arrays_are_its_own():
         assert outer.inner.grid.tolist() == [[0, 6, 2], [3, 4, 5]]
 
 
-def test_buffers_that_a_kernel_makes_live_as_long_as_their_reference():
+def test_every_call_reads_the_tuple_that_was_written_for_it():
+    """Also where the function that writes it is made a part of a loop."""
+
     @uncounted()
-    def fill(buffers, times):
-        named = referred(buffers)
+    def total(at, times):
+        named, found = at_address(at), 0.0
         for turn in range(times):
-            for at in range(named.values.size):
-                named.values[at] += turn
-        return named.values.sum()
+            for place in range(named.values.size):
+                named.values[place] += turn
+            found += named.values[0] * named.place.x
+        return found
+
+    @uncounted()
+    def once(buffers, times):
+        return total(address_of(buffers), times)
 
     @njit
     def filled(size, times):
-        total = 0.0
-        for _ in range(times):
-            buffers = Named(np.zeros(size), Place(0.0, 0.0), (0, 0.0), np.zeros((1, 1), np.int32), False)
-            total += fill(buffers, times)
-        return total
+        found = np.zeros(times)
+        for turn in range(times):
+            place = Place(float(turn), 0.0)
+            buffers = Named(np.full(size + turn, float(turn)), place, (0, 0.0), np.zeros((1, 1), np.int32), False)
+            found[turn] = once(buffers, times)
+        return found
 
-    assert filled(10_000, 50) == 50 * 10_000 * sum(range(50))
-
-
-def test_a_field_that_there_is_not_is_named():
-    @uncounted()
-    def absent(whole):
-        return referred(whole).absent
-
-    @njit
-    def kernel(whole):
-        return absent(whole)
-
-    with pytest.raises(numba.core.errors.TypingError, match="absent"):
-        kernel(made())
+    sums = np.cumsum(np.arange(50))
+    assert np.array_equal(filled(1000, 50), [(turn * (turn + sums)).sum() for turn in range(50)])
 
 
-def test_a_function_that_counts_references_makes_none():
-    """It would free the arrays of a tuple at its last use by value."""
+@uncounted()
+def _absent(at):
+    return at_address(at).absent
 
-    @njit
-    def kernel(whole):
-        return referred(whole).count
 
+@uncounted()
+def _unread(at):
+    return at.count
+
+
+@uncounted()
+def _ask_for_absent(whole):
+    return _absent(address_of(whole))
+
+
+@uncounted()
+def _read_at_once(whole):
+    return _unread(address_of(whole))
+
+
+@pytest.mark.parametrize(("ask", "named"), [(_ask_for_absent, "absent"), (_read_at_once, "count")])
+def test_a_field_that_there_is_not_is_named_and_an_address_alone_has_none(ask, named):
+    with pytest.raises(numba.core.errors.TypingError, match=named):
+        njit(lambda whole: ask(whole))(made())
+
+
+def test_a_function_that_counts_references_takes_no_address():
+    """It would free the arrays of a tuple at its last use by name."""
     with pytest.raises(numba.core.errors.NumbaError, match="uncounted functions"):
-        kernel(made())
+        njit(lambda whole: _at_address(address_of(whole)))(made())
     with pytest.raises(numba.core.errors.TypingError):
-        njit(lambda values: referred(values))(np.zeros(3))
+        njit(lambda values: address_of(values))(np.zeros(3))

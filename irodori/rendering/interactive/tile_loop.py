@@ -6,7 +6,7 @@ import numpy as np
 
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.functions import as_float, root, select
-from irodori.jit.references import referred
+from irodori.jit.references import address_of, at_address
 from irodori.jit.vector_memory import (
     compress,
     lane,
@@ -549,11 +549,16 @@ def _add_parts(job, scratch, count, corner, listed):
 
 
 @uncounted()
-def _render_tiles(whole_job, whole_target, singles, doubles, first, last):
-    job, target = referred(whole_job), referred(whole_target)
-    scratch = referred(scratch_in(job, singles, doubles, target.figures[first * FIGURES :]))
+def _render_each(job_at, scratch_at, target_at, first, last):
+    job, scratch, target = at_address(job_at), at_address(scratch_at), at_address(target_at)
     for tile in range(first, last):
         _render_tile(job, scratch, tile, target)
+
+
+@uncounted()
+def _render_tiles(job, target, singles, doubles, first, last):
+    scratch = scratch_in(job, singles, doubles, target.figures[first * FIGURES :])
+    _render_each(address_of(job), address_of(scratch), address_of(target), first, last)
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,7 @@ from irodori.core.progress import LOGGER
 from irodori.geometry.embree import new_ray
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit, uncounted
-from irodori.jit.references import referred
+from irodori.jit.references import address_of, at_address
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.converging_picture import TracedScene
@@ -46,9 +46,9 @@ class Places(NamedTuple):
 
 
 @uncounted()
-def _gather_range(scene, numbers, places, buffers, first, last):
-    world, ray, work, size = referred(scene), buffers[0], referred(buffers[1]), numbers.points.shape[1]
-    whole, shifts = buffers[2], buffers[3]
+def _gather_each(world_at, work_at, numbers, places, buffers, first, last):
+    world, work, (ray, whole, shifts) = at_address(world_at), at_address(work_at), buffers
+    size = numbers.points.shape[1]
     for place in range(first, last):
         for replicate in range(_REPLICATES):
             key = pixel_key(places.key[place], 0, replicate, numbers.seed)
@@ -75,11 +75,16 @@ def _gather_range(scene, numbers, places, buffers, first, last):
                 places.halves[replicate, place, band] = whole[band] / numbers.samples
 
 
+@uncounted()
+def _gather_range(world, work, numbers, places, buffers, first, last):
+    _gather_each(address_of(world), address_of(work), numbers, places, buffers, first, last)
+
+
 @njit(cache=True, nogil=True)
 def _gather_at_some(world, numbers, places, first, last):
     """Trace the paths of the points from ``first`` to before ``last`` and fill their ``halves``."""
-    buffers = new_ray(), new_work(world), np.empty(BANDS), np.empty(DIMENSIONS, np.uint32)
-    _gather_range(world, numbers, places, buffers, first, last)
+    buffers = new_ray(), np.empty(BANDS), np.empty(DIMENSIONS, np.uint32)
+    _gather_range(world, new_work(world), numbers, places, buffers, first, last)
 
 
 def incident_light(

@@ -7,7 +7,7 @@ import numpy as np
 
 from irodori.geometry.embree import new_ray
 from irodori.jit.compilation import njit, uncounted
-from irodori.jit.references import referred
+from irodori.jit.references import address_of, at_address
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.glints import AIMED, Glints, fill_glint_shares, weight_in_pixel
 from irodori.rendering.reference.paths import MIRRORED, follow
@@ -138,9 +138,9 @@ def _render_pixel(sampling, ray, work, pixel, samples, sums):
 
 
 @uncounted(fastmath={"contract", "reassoc", "nsz"})
-def _render_rows(whole_sampling, rows, buffers, sums, first, last):
-    sampling, count, by_band = referred(whole_sampling), whole_sampling.numbers.replicates, rows.error.shape[2] == BANDS
-    ray, work = buffers[0], referred(buffers[1])
+def _render_each(sampling_at, work_at, rows, ray, sums, first, last):
+    sampling, work, by_band = at_address(sampling_at), at_address(work_at), rows.error.shape[2] == BANDS
+    count = sampling.numbers.replicates
     for row in range(first, last):
         for x in range(rows.places.shape[1]):
             for part in range(SEEN):
@@ -170,9 +170,14 @@ def _render_rows(whole_sampling, rows, buffers, sums, first, last):
                 rows.error[row, x, 0] = math.sqrt(whole / BANDS)
 
 
+@uncounted()
+def _render_rows(sampling, work, rows, ray, sums, first, last):
+    _render_each(address_of(sampling), address_of(work), rows, ray, sums, first, last)
+
+
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
 def render_some_rows(sampling, rows, first, last):
     """Render the rows from ``first`` to before ``last`` of `Rows`."""
     count = sampling.numbers.replicates
     sums = _Sums(np.empty((count, PADDED)), np.empty(PADDED), np.empty(PADDED), np.empty(DIMENSIONS, np.uint32))
-    _render_rows(sampling, rows, (new_ray(), new_work(sampling.world)), sums, first, last)
+    _render_rows(sampling, new_work(sampling.world), rows, new_ray(), sums, first, last)
