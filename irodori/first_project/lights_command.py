@@ -68,17 +68,34 @@ def paired(asked: argparse.Namespace) -> tuple[list[Path], list[str]]:
     if len(asked.names) != len(files):
         found = f"{len(files)} photographs of the ball and {len(asked.names)} names"
         raise InputError("--names", "", found, "one name for each photograph")
-    return _as_taken(files, asked), [path.name for path in _as_taken(map(Path, asked.names), asked)]
+    both = _times(files), _times(map(Path, asked.names))
+    some_state_it = any(any(times.values()) for times in both)
+
+    def in_turn(times: dict[Path, str]) -> list[Path]:
+        # The clock may be asked for where the photographs of one of the two state no time.
+        is_silent = some_state_it and not any(times.values())
+        return in_order(times, "" if asked.order == "clock" and is_silent else asked.order)[0]
+
+    return in_turn(both[0]), [path.name for path in in_turn(both[1])]
 
 
-def _as_taken(paths: Iterable[Path], asked: argparse.Namespace) -> list[Path]:
-    """Sort photographs of one folder as they were taken; those to list need not be at hand.
+def _times(paths: Iterable[Path]) -> dict[Path, str]:
+    """Return the times of photographs; those that are not at hand have none.
 
-    ``--order clock`` is for the folder whose files state their time, if those of the other do not.
+    Raises
+    ------
+    InputError
+        If a photograph is listed twice or cannot be read.
     """
-    times = {path: camera_time(path) if path.is_file() else "" for path in paths}
-    said = asked.order if asked.order == "names" or any(times.values()) else ""
-    return in_order(times, said)[0]
+    times: dict[Path, str] = {}
+    for path in paths:
+        if path in times:
+            raise InputError(path, "", "a photograph that is listed twice", "each photograph once")
+        try:
+            times[path] = camera_time(path) if path.is_file() else ""
+        except OSError as error:
+            raise InputError(path, "", f"a file that cannot be read ({error.strerror})", "a photograph") from None
+    return times
 
 
 def _write(asked: argparse.Namespace) -> int:

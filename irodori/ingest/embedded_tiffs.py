@@ -13,7 +13,7 @@ _CANON_BOX = bytes.fromhex("85c0b687820f11e08111f4ce462b6a48")
 _CANON_TAGS = (b"CMT1", b"CMT2")
 #: Where a Fujifilm file states the place of its JPEG, bytes from its beginning.
 _FUJIFILM_JPEG = 84
-_JPEG, _APP1, _SCAN, _EXIF = b"\xff\xd8", 0xFFE1, 0xFFDA, b"Exif\0\0"
+_JPEG, _FILL, _APP1, _SCAN, _EXIF = b"\xff\xd8", b"\xff\xff", 0xFFE1, 0xFFDA, b"Exif\0\0"
 #: Most boxes or segments in a row that are looked at; a RAW file has a dozen, and a damaged one may claim more.
 _MOST_PARTS = 64
 #: Most bytes of a part that are read; tags of a photograph take some kilobytes.
@@ -77,10 +77,12 @@ def _jpeg_parts(content) -> Iterator[tuple[int, int]]:
         return
     at += 2
     for _ in range(_MOST_PARTS):
+        while content[at : at + 2] == _FILL:  # which may precede any marker
+            at += 1
         if at + 4 > len(content):
             return
         marker, size = struct.unpack_from(">HH", content, at)
-        if marker == _SCAN or size < 2:
+        if marker == _SCAN or marker >> 8 != _FILL[0] or size < 2:
             return
         if marker == _APP1 and content[at + 4 : at + 4 + len(_EXIF)] == _EXIF:
             yield at + 4 + len(_EXIF), at + 2 + size

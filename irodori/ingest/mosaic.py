@@ -8,6 +8,7 @@ import contextlib
 import math
 import threading
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,8 @@ ALGORITHMS = {
 #: picture, or crash.
 _ONE_AT_A_TIME = {"vng": threading.Lock()}
 BAND_LETTERS = "RGB"
+#: Where a CRW file, a "camera image file format", says that it is one.
+_CIFF = slice(6, 14)
 _WHOLE = "a whole RAW file that LibRaw reads"
 _PATTERN_SIDE = 6  # of the X-Trans pattern, the largest that LibRaw knows
 #: A plateau at the top of the numbers: the fewest samples of one colour with the largest number; their least ratio to
@@ -261,8 +264,7 @@ def _mosaic(path: Path, raw) -> Mosaic:
         orientation=int(raw.sizes.flip),
         focal_mm=_stated(other.focal_length),
         early_clipping=_early_clipping(values, white, saturated),
-        # LibRaw's number for a file that states none is 0, the beginning of 1970 in Greenwich.
-        time=other.timestamp.isoformat() if other.timestamp.timestamp() > 0 else "",
+        time=_clock(path, other.timestamp),
     )
 
 
@@ -329,6 +331,17 @@ def _check_black_repeat(path: Path) -> None:
         if max(rows, columns) > 2:
             found = f"a black level that repeats every {rows} x {columns} pixels"
             raise InputError(path, "BlackLevelRepeatDim", found, "a repeat of at most 2 x 2 pixels")
+
+
+def _clock(path: Path, read: datetime) -> str:
+    """Return the time of the camera's clock from what LibRaw read, ISO 8601; empty if the file states none."""
+    if read.timestamp() <= 0.0:  # LibRaw's number for none: the beginning of 1970 in Greenwich
+        return ""
+    with open(path, "rb") as file:
+        counts_seconds = file.read(_CIFF.stop)[_CIFF.start :] == b"HEAPCCDR"
+    # CRW files count the seconds of the camera's own clock, which rawpy takes for those of Greenwich and shifts to the
+    # zone of this computer. What other formats spell out, LibRaw takes for a time in this zone, and nothing is shifted.
+    return (read.astimezone(UTC).replace(tzinfo=None) if counts_seconds else read).isoformat()
 
 
 def _stated(value: float) -> float:

@@ -54,7 +54,7 @@ class _Library(JITCodeLibrary):
                 manager.run(function, builder)
 
     def finalize(self) -> None:
-        self._linking_libraries: list = _called(self._linking_libraries)
+        self._linking_libraries: list = [_Alone(library) for library in _called(self._linking_libraries)]
         super().finalize()
 
 
@@ -79,13 +79,38 @@ class _ForLinking(_Library):
     """Code that is only linked into kernels, where it is optimised and converted to machine code.
 
     It contains none of the functions that it calls: with them, a function would be copied once for each level of calls
-    between it and the kernel.
+    between it and the kernel. Only what others compile with numba, and not with this package, is given all together.
     """
+
+    _together = None  # the module with all that it calls, for others
 
     def finalize(self) -> None:
         self._raise_if_finalized()
         self._finalize_dynamic_globals()
         self._finalized = True
+
+    def module_alone(self):
+        """Return the module of the function itself."""
+        return super()._get_module_for_linking()
+
+    def _get_module_for_linking(self):
+        if self._together is None:
+            self._together = self.module_alone().clone()
+            for library in _called(self._linking_libraries):
+                self._together.link_in(_Alone(library)._get_module_for_linking(), preserve=True)
+        return self._together
+
+
+class _Alone:
+    """Stand-in for a library to be linked: without what it calls if that is linked as well, see `_called`."""
+
+    def __init__(self, library) -> None:
+        self._library = library
+        self._reload_init = library._reload_init
+
+    def _get_module_for_linking(self):
+        library = self._library
+        return library.module_alone() if isinstance(library, _ForLinking) else library._get_module_for_linking()
 
 
 def _called(libraries: list) -> list:

@@ -15,7 +15,7 @@ from numba.extending import intrinsic, models, register_model
 
 
 class Reference(types.Type):
-    """Address of a named tuple that does not change; its fields are read as those of the tuple itself.
+    """Address of a named tuple that is not written to; its fields are read as those of the tuple itself.
 
     Parameters
     ----------
@@ -25,6 +25,11 @@ class Reference(types.Type):
     def __init__(self, target) -> None:
         self.target = target
         super().__init__(name=f"{type(self).__name__}({target.name})")
+
+    @property
+    def key(self) -> tuple:
+        """What tells the type from others: two classes of named tuples may have the same name."""
+        return type(self), self.target
 
     @property
     def instance_class(self) -> type:
@@ -45,9 +50,10 @@ class _AddressModel(models.PrimitiveModel):
 
 @intrinsic
 def address_of(typingctx, value):
-    """Write a named tuple to memory and return its `Address`, for functions that are called; it ends with the caller.
+    """Write a named tuple to memory and return its `Address`, for a function that is called with it at once.
 
-    Only uncounted functions may do so: others would free arrays of the tuple at their last use by name.
+    The memory is the caller's: it ends with it, and the same statement, in a loop, writes to it again. Only uncounted
+    functions may do so: others would free arrays of the tuple at their last use by name.
     """
     if not isinstance(value, types.BaseNamedTuple):
         return None

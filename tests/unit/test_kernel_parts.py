@@ -2,6 +2,7 @@
 
 import numba
 import numpy as np
+import pytest
 
 from irodori.jit.compilation import njit
 
@@ -41,3 +42,12 @@ def test_a_parallel_kernel_calls_another_and_python_calls_every_part():
     assert backwards.tolist() == [4.0, 14.0, -2.0, 6.0]
     assert doubled(values).tolist() == [6.0, -2.0, 14.0, 4.0]
     assert somebody_elses(1.5) == 3.0
+
+
+@pytest.mark.parametrize(
+    "function", [lambda x: np.sort(x)[0], lambda x: np.cumsum(x)[-1], lambda x: np.interp(0.5, x, x)]
+)
+def test_others_compile_with_numba_what_a_kernel_has_compiled_before(function):
+    """numba keeps its own functions, such as those of sorting, for all that a process compiles."""
+    values = np.array([0.0, 0.25, 1.0])
+    assert njit(function)(values) == numba.njit(function)(values) == function(values)

@@ -156,6 +156,11 @@ def test_the_clock_tells_which_photograph_of_the_object_each_lamp_lit(folder, ca
     said = capsys.readouterr().err
     assert "IMG_0011.tif: time: found 2026-11-23T08:09:00, before 2026-11-23T08:10:00 of IMG_0010.tif" in said
     assert "--order names if" in said and said.count("\n") == 1 and not Path("lights.lp").exists()
+    silent = [f"none/{number}.tif" for number in range(11)]
+    assert main([*words, "--names", *silent[:10], silent[3]]) == 2
+    assert "3.tif: found a photograph that is listed twice; accepted: each photograph" in capsys.readouterr().err
+    assert main([*words, "--names", *silent, "--order", "clock"]) == 2
+    assert "time: found none; accepted: --order clock where every file" in capsys.readouterr().err
     for order, first in (("names", "img_0010"), ("clock", "img_0020")):
         assert main([*words, "--names", *backwards, "--order", order]) == 0
         assert apart_deg(read_light_places("lights.lp")[first], lamps(11)[0]) < 1.0

@@ -109,6 +109,25 @@ def test_every_call_reads_the_tuple_that_was_written_for_it():
     assert np.array_equal(filled(1000, 50), [(turn * (turn + sums)).sum() for turn in range(50)])
 
 
+def test_classes_of_one_name_are_told_apart():
+    class Other(NamedTuple):
+        y: float
+        x: float
+
+    Other.__name__ = Other.__qualname__ = "Place"
+
+    @uncounted()
+    def x_of(at):
+        return at_address(at).x
+
+    @uncounted()
+    def read(place):
+        return x_of(address_of(place))
+
+    kernel = njit(lambda place: read(place))
+    assert (kernel(Place(1.0, 2.0)), kernel(Other(3.0, 4.0))) == (1.0, 4.0)
+
+
 @uncounted()
 def _absent(at):
     return at_address(at).absent
