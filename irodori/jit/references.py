@@ -28,7 +28,7 @@ class Reference(types.Type):
 
     @property
     def key(self) -> tuple:
-        """What tells the type from others: two classes of named tuples may have the same name."""
+        """Identity of the type: two classes of named tuples may have the same name."""
         return type(self), self.target
 
     @property

@@ -46,8 +46,9 @@ class Places(NamedTuple):
 
 
 @uncounted()
-def _gather_each(world_at, work_at, numbers, places, buffers, first, last):
+def _gather_each(world_at, work_at, task, buffers, first, last):
     world, work, (ray, whole, shifts) = at_address(world_at), at_address(work_at), buffers
+    numbers, places = task
     size = numbers.points.shape[1]
     for place in range(first, last):
         for replicate in range(_REPLICATES):
@@ -76,15 +77,15 @@ def _gather_each(world_at, work_at, numbers, places, buffers, first, last):
 
 
 @uncounted()
-def _gather_range(world, work, numbers, places, buffers, first, last):
-    _gather_each(address_of(world), address_of(work), numbers, places, buffers, first, last)
+def _gather_range(world, work, task, buffers, first, last):
+    _gather_each(address_of(world), address_of(work), task, buffers, first, last)
 
 
 @njit(cache=True, nogil=True)
 def _gather_at_some(world, numbers, places, first, last):
     """Trace the paths of the points from ``first`` to before ``last`` and fill their ``halves``."""
     buffers = new_ray(), np.empty(BANDS), np.empty(DIMENSIONS, np.uint32)
-    _gather_range(world, new_work(world), numbers, places, buffers, first, last)
+    _gather_range(world, new_work(world), (numbers, places), buffers, first, last)
 
 
 def incident_light(

@@ -138,9 +138,9 @@ def _render_pixel(sampling, ray, work, pixel, samples, sums):
 
 
 @uncounted(fastmath={"contract", "reassoc", "nsz"})
-def _render_each(sampling_at, work_at, rows, ray, sums, first, last):
+def _render_each(sampling_at, work_at, rows, buffers, first, last):
     sampling, work, by_band = at_address(sampling_at), at_address(work_at), rows.error.shape[2] == BANDS
-    count = sampling.numbers.replicates
+    (ray, sums), count = buffers, sampling.numbers.replicates
     for row in range(first, last):
         for x in range(rows.places.shape[1]):
             for part in range(SEEN):
@@ -171,8 +171,8 @@ def _render_each(sampling_at, work_at, rows, ray, sums, first, last):
 
 
 @uncounted()
-def _render_rows(sampling, work, rows, ray, sums, first, last):
-    _render_each(address_of(sampling), address_of(work), rows, ray, sums, first, last)
+def _render_rows(sampling, work, rows, buffers, first, last):
+    _render_each(address_of(sampling), address_of(work), rows, buffers, first, last)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
@@ -180,4 +180,4 @@ def render_some_rows(sampling, rows, first, last):
     """Render the rows from ``first`` to before ``last`` of `Rows`."""
     count = sampling.numbers.replicates
     sums = _Sums(np.empty((count, PADDED)), np.empty(PADDED), np.empty(PADDED), np.empty(DIMENSIONS, np.uint32))
-    _render_rows(sampling, new_work(sampling.world), rows, new_ray(), sums, first, last)
+    _render_rows(sampling, new_work(sampling.world), rows, (new_ray(), sums), first, last)
