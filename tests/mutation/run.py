@@ -57,12 +57,12 @@ from sequential import is_told  # noqa: E402
 ROOMS = {
     "ingest": (
         ("ingest",),
-        ("unit/test_ingest.py", "unit/test_embedded_tiffs.py", "unit/test_mosaic.py", "unit/test_demosaic.py", "unit/test_dark_frames.py",
+        ("unit/test_ingest.py", "unit/test_mosaic.py", "unit/test_demosaic.py", "unit/test_dark_frames.py",
          "unit/test_merge.py", "unit/test_photon_transfer.py", "unit/test_linearity.py", "unit/test_registration.py",
          "unit/test_shot_alignment.py", "unit/test_white_reference.py", "unit/test_first_look.py",
          "unit/test_plausibility.py", "rig/test_set_plausibility.py", "unit/test_linear_pictures.py",
-         "unit/test_fuzz_raw.py", "unit/test_dng_levels.py", "unit/test_exposure_settings.py",
-         "rig/test_session_sees.py"),
+         "unit/test_fuzz_raw.py", "unit/test_dng_levels.py", "unit/test_embedded_tiffs.py",
+         "unit/test_exposure_settings.py", "rig/test_session_sees.py"),
     ),
     "rectification": (
         ("rectification",),

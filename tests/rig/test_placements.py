@@ -93,6 +93,7 @@ def test_a_rotation_of_90_degrees_typed_for_180_is_refused_with_that_which_the_p
     assert raised.value.field == "placements[0].rotation_deg"
 
 
+@pytest.mark.heavy
 def test_a_photograph_in_the_wrong_placement_is_refused_by_its_name(laid):
     ball, off = a_ball(laid.definitions), (0.8, -0.6, 0.2, 0.2, -0.3, 0.4)
     # What its line says to be the second placement shows the first.

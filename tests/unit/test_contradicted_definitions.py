@@ -135,6 +135,7 @@ def test_photographs_that_all_show_the_next_pose_are_named(tmp_path, poses):
     assert error.field == "pose_deg" and "in the pose of" in error.found and "more show that of another" in error.found
 
 
+@pytest.mark.heavy
 def test_an_object_far_beside_its_place_is_named(tmp_path):
     near, far = (drawn(tmp_path / str(x_mm), correction(x_mm=x_mm), NOT_TURNED, NOT_TURNED) for x_mm in (15.0, 25.0))
     error = refused(tmp_path, near)

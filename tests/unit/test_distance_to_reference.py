@@ -133,6 +133,7 @@ STUDIO = ([plate(90.0), BALL], [material(0.8), material(0.6)], sky(lambda unit: 
 OPTIONS = made(Render, Render(pixel_side=2, min_throughput=1e-3))
 
 
+@pytest.mark.heavy
 def test_a_picture_states_what_it_leaves_out_of_the_transport():
     far = {}
     for name, integrator in {

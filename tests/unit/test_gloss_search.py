@@ -59,6 +59,7 @@ def found_in(seed, varying=0.0):
     return colour, gloss, painted(seen, optics=OPTICS)
 
 
+@pytest.mark.heavy
 def test_texels_that_cannot_tell_two_lobes_have_the_gloss_of_their_paint():
     off, alone, stated = [], [], 0
     for seed in range(4):

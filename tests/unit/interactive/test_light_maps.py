@@ -104,6 +104,7 @@ def test_under_a_black_ball_a_table_is_dark_by_the_ball_s_form_factor():
     assert (below < 0.5).all() and below.mean() > 0.2
 
 
+@pytest.mark.heavy
 def test_turned_by_any_angle_the_light_is_that_of_a_room_that_was_turned_by_hand():
     """Neither the cells of the sphere nor the pixels of the picture fit the angle."""
     there = placements()
@@ -281,6 +282,7 @@ def seen_from_above(placements, reflectances, light, maps=None, span_mm=400.0, s
     return render_frame(ready, seen, bands=True)[..., 30], *np.meshgrid(side, -side)
 
 
+@pytest.mark.heavy
 def test_under_a_black_ball_an_endless_plane_is_dark_by_the_ball_s_form_factor_near_and_far():
     there = [Placement(Plane(), np.eye(3), np.zeros(3)), *placements()[1:]]
     far = [20000.0, 400.0]
