@@ -1,8 +1,8 @@
 """Named tuples in memory that compiled functions hand on by their address.
 
 numba hands on a tuple as one argument for each number in it, and as seven for each array. A scene has hundreds of them.
-Every function of a kernel took them apart and put them together again for each of its calls, and compiling that took a
-third of the time that it takes to compile the frames' kernel.
+By value, every function of a kernel takes them apart and puts them together again for each of its calls; compiling that
+took a third of the frames' kernel.
 """
 
 from llvmlite import ir
