@@ -50,6 +50,7 @@ def surface(tmp_path, definitions, weight, radius_deg=RADIUS_DEG) -> dict:
 
 
 @pytest.mark.stability(stage="fit", case="a lamp's mirror image that is not clipped")
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("weight", [0.0, 0.004, 0.02])
 def test_a_mirror_image_that_is_not_clipped_measures_the_weight(tmp_path, definitions, weight):
     found = surface(tmp_path, definitions, weight)

@@ -105,6 +105,7 @@ def test_the_jackknife_covers_the_truth_by_itself():
     assert len(z) > 24 and 0.62 < np.mean(np.less(z, 1.0)) < 0.75 and np.mean(np.less(z, 2.0)) > 0.93
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_gloss_that_varies_within_a_paint_is_told_as_far_as_the_texels_tell_it(seed):
     _, gloss, (_, paints, found) = found_in(seed, varying=0.1)
@@ -132,6 +133,7 @@ def test_one_reading_is_enough_for_a_colour_under_two_lobes():
     assert np.median(np.abs(off / colour[found.texel, GREEN])[here]) < 0.05
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("factor", [0.0, 0.3, 3.0])
 def test_one_bad_photograph_does_not_move_the_gloss_of_a_paint(factor):
     seen, _, _ = sitting(5)

@@ -58,6 +58,7 @@ def test_normals_between_the_points_of_a_surface_are_those_of_the_ball(tmp_path)
     assert away.max() < 0.3
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("dark", [0.4, 1.0, 1.8])
 @pytest.mark.parametrize("border_deg", [28.0, 32.0])
 def test_a_border_just_inside_an_outline_is_known_from_other_photographs(tmp_path, border_deg, dark):

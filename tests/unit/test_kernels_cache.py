@@ -92,6 +92,7 @@ print(10.0, sum(summed.stats.cache_misses.values()))
 KINDS = ["float32", "float64", "int64", "uint8", "complex128"]
 
 
+@pytest.mark.heavy
 def test_signatures_of_one_kernel_are_compiled_at_the_same_time_and_all_are_stored(tmp_path):
     script = tmp_path / "summed.py"
     script.write_text(SUMS)

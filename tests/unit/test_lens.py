@@ -78,6 +78,7 @@ def test_distortion_is_modelled_only_where_left_out_photographs_call_for_it(lens
     assert found.rms < 0.05
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("seed", range(6))
 def test_stated_errors_hold(seed):
     found, _ = fit_lens(corners(TRUE, PLACES, sigma=0.05, seed=seed), (WIDTH // 2, HEIGHT // 2))

@@ -187,7 +187,7 @@ def round_object(lobe, beta, mu, seed, coat="sum", grain=0.0, *, long=1.0) -> Ob
     return replace(seen, response=lit.astype(np.float32), weight=weight.astype(np.float32), geometry=typed)
 
 
-@pytest.mark.default_cases(4)
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(
     ("beta", "mu"), [((1.0, 2.5), (0.25, 0.12)), ((2.0, 0.6), (0.15, 0.3)), ((4.0, 1.5), (0.1, 0.2))]

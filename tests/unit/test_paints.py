@@ -555,6 +555,7 @@ def test_scatter_is_in_the_errors_of_colour_and_explains_the_residuals():
 
 
 @pytest.mark.stability(stage="fit", case="gloss that varies from place to place within a paint")
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("worn", "blamed", "beta", "mu"), [(False, 0, 0.08, 0.02), (True, 3, 0.13, 0.06)])
 def test_gloss_that_varies_within_a_paint_stays_that_of_its_texels(worn, blamed, beta, mu):
     """log β varies by 0.2 (standard deviation), from texel to texel or smoothly as by wear, in sittings that drift."""

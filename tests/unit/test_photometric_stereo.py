@@ -69,6 +69,7 @@ def test_lamps_in_one_plane_with_the_object_are_refused():
         fit_facets(np.ones((4, 8)), np.ones((4, 8), dtype=bool), plane)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("beta", "mu"), [(3.0, 0.1), (1.0, 0.3)])
 def test_normals_and_gloss_are_found_together_under_known_lamps(beta, mu):
     response = responses(beta=beta, mu=mu)

@@ -98,6 +98,7 @@ def test_charts_in_two_places_tell_two_lamps_that_light_both_from_each_other(see
 
 
 @pytest.mark.stability(stage="light", case="rig's lamp unlike its name")
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("unlike_name", ["smoothly, by 5 %", "50 K more or less"])
 def test_what_the_rigs_lamp_may_differ_from_its_name_is_in_the_errors_of_recovered_light(unlike_name):
     """Over three draws and the lamps, each with a chart under it."""
@@ -174,6 +175,7 @@ def shadowed(response: np.ndarray) -> np.ndarray:
     return response * np.where(np.arange(24) < 18, 1.0, 0.9)[:, None]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "spoilt", [lambda response: response + 0.03 * response.max(axis=0), shadowed], ids=["veiling light", "shadow"]
 )
@@ -454,6 +456,7 @@ def test_lights_on_charts_and_the_response_are_the_likeliest_together(seen, unit
         np.testing.assert_allclose(found.mean, one / luminance(one), atol=2e-3 * found.mean.max())
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("told", [True, False])
 def test_noise_in_the_reading_of_a_chart_is_in_the_errors_of_its_light(seen, told):
     """Noise of half a per cent of the brightest patch is much of the light of a black one. Untold, it is missed."""

@@ -92,7 +92,7 @@ def quarter(scene, part):
     return scene
 
 
-@pytest.mark.default_cases(4)
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("integrator", "part"),
     [

@@ -145,6 +145,7 @@ def rendered(tmp_path_factory) -> dict[str, dict]:
     return tube(tmp_path_factory.mktemp("rendered"), "reference", "interactive")
 
 
+@pytest.mark.heavy
 def test_a_shape_from_outside_is_traced_exactly(measured):
     found = measured["traced"]
     assert [*found["variants"]] == ["plate", "sphere", "mesh", "tube"]
@@ -160,6 +161,7 @@ def test_a_shape_from_outside_is_traced_exactly(measured):
     assert np.exp(2j * np.pi * uv[:, 0]) == pytest.approx((local[:, 0] + 1j * local[:, 1]) / 20.0, abs=1e-5)
 
 
+@pytest.mark.heavy
 def test_a_shape_from_outside_is_rectified(measured):
     found = measured["rectified"]
     x, y = found["pixel"].T

@@ -86,6 +86,7 @@ def whole(spread=0.4, seed=0):
 # How far it is turned.
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("real_deg", [(2.0, -1.5, 1.0), (9.0, 4.0, -6.0)])
 def test_the_turn_is_found_within_its_stated_error(first, real_deg):
     found = turned(first, side(2, real_deg), 5.0)
@@ -110,6 +111,7 @@ def test_the_level_of_the_lamp_does_not_matter(first):
     np.testing.assert_allclose(here, there, atol=0.1)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("other", [one_paint, lambda p: paints(p, 2.0)], ids=["one paint", "other paints"])
 def test_paints_that_do_not_agree_tell_nothing(first, other):
     assert turned(first, side(2, colours=other), 5.0) is None
@@ -145,6 +147,7 @@ def test_a_wrong_rotation_of_a_symmetric_ball_is_not_refused_but_warned_of(caplo
     assert "placement 2: the photographs agree better with several other rotations" in caplog.text
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("number", [1, 2])
 def test_a_photograph_of_the_other_placement_is_refused_by_its_name(first, number):
     there = Correction.laid(BALL, OVER) if number == 1 else Correction()

@@ -211,7 +211,7 @@ REDDISH = STILL._replace(filter=tuple(np.linspace(0.2, 1.8, 61)))
 TURNED = STILL._replace(environment_deg=70.0)
 
 
-@pytest.mark.default_cases(2)
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     ("moment", "lights"),
     [
@@ -388,6 +388,7 @@ def test_reflections_and_spectra_that_light_maps_leave_out_are_told(caplog, monk
 GLOSSY = {"beta": 4.0, "mu": 0.15}
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("is_mesh", [False, True], ids=["exact", "of triangles"])
 def test_gloss_of_white_neighbours_in_even_light_is_that_of_the_sky(is_mesh):
     """A white furnace: what neighbours hide from a lobe they send back, for every surface is as bright as the sky."""
