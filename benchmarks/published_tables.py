@@ -118,7 +118,7 @@ def figures_block(folder: Path, words=_ENGLISH) -> str:
         "leave-one-patch-out CIEDE2000", "light CIEDE2000", "picture CIEDE2000 to true materials, objects only",
     )  # fmt: skip
     found = [next(r for r in errors if r["quantity"] == q and r["light"] != "A") for q in quantities]
-    fit, frame = speeds["fit", "varpro"], speeds["render", "interactive-coefficients"]
+    fit, frame = (speeds[key, DEFAULTS[key]] for key in ("fit", "render"))
     values = [
         *(error.format(mean=_number(r["mean"]), p95=_number(r["p95"])) for r in found),
         ratio.format(speed=_number(fit["throughput"]), times=_times(fit)),

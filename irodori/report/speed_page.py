@@ -16,7 +16,7 @@ DEFAULTS = {
     "calibrate": "pinv",
     "fit": "varpro",
     "compress": "pca-budget",
-    "render": "interactive-coefficients",
+    "render": "interactive-coefficients, light maps",
 }
 COLUMNS = (
     "stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference",
