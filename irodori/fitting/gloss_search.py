@@ -390,23 +390,25 @@ def _is_less(losses: np.ndarray, others: np.ndarray) -> bool:
 
 
 def share_pair(readings: Readings, gloss: PairGloss, options: FitOptions) -> TexelGloss:
-    """Fit the texels of a paint with the gloss of the paint as prior.
+    """Fit the texels of a paint with the gloss of the paint as prior, or each with one of its own.
 
     Parameters
     ----------
     readings : Readings
         Of the green band.
     gloss : PairGloss
+        In the second case with a first axis of texels, see `irodori.fitting.mixtures.gloss_between`.
     options : FitOptions
         With two lobes.
     """
-    model, place = _Model(readings, options), gloss.log_gloss
-    precision, own = np.linalg.inv(gloss.varying), np.tile(place, (len(readings.response), 1))
+    model, count = _Model(readings, options), len(readings.response)
+    place, precision = np.broadcast_to(gloss.log_gloss, (count, _PARAMETERS)), np.linalg.inv(gloss.varying)
+    own, excess = place.copy(), np.reshape(gloss.excess, (-1, 1, 1))
     for _ in range(_STEPS_OF_TEXEL):
         plain, weight = model.weights(own)
-        slope, normal = (one / gloss.excess for one in model.by_texel(own, weight))
-        after = np.linalg.inv(normal + precision)
-        step = np.einsum("tij,tj->ti", after, slope - (own - place) @ precision)
+        slope, normal = model.by_texel(own, weight)
+        after = np.linalg.inv(normal / excess + precision)
+        step = np.einsum("tij,tj->ti", after, slope / excess[..., 0] - ((own - place)[:, None] @ precision)[:, 0])
         own = np.clip(own + np.clip(step, -_LONGEST, _LONGEST), *model.limits)
         if np.abs(step).max(initial=0.0) < _CLOSE:
             break
@@ -417,20 +419,22 @@ def share_pair(readings: Readings, gloss: PairGloss, options: FitOptions) -> Tex
     told, used = power > 0.0, model.seen.sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         by = -(weight * model.cosine * slopes).sum(axis=-1) / power
-        variance = gloss.excess / power + np.einsum("it,tij,jt->t", by, covariance, by)
         squares = (plain * (model.response - alpha[:, None] * model.cosine - part) ** 2).sum(axis=1)
         free = np.maximum(used - 1.0, 1.0)
         misfit = squares / gloss.excess
         agrees = told & (misfit <= free + _OFTEN * np.sqrt(2.0 * free))
-        # A mixture of paints has neither's gloss: its residuals tell how far the parameters may be off.
+        # As in `irodori.fitting.paint_gloss.share`.
         larger = np.where(agrees, 1.0, np.maximum(misfit / free, 1.0))
+        if gloss.log_gloss.ndim == 1:
+            covariance = larger[:, None, None] * covariance
+        variance = larger * gloss.excess / power + np.einsum("it,tij,jt->t", by, covariance, by)
         values = np.exp(own)
         total, power_of = plain.sum(axis=1), (plain * model.response**2).sum(axis=1)
         return TexelGloss(
             alpha=np.where(told, alpha, np.nan),
-            alpha_error=np.sqrt(larger * variance + (options.level_error * alpha) ** 2),
+            alpha_error=np.sqrt(variance + (options.level_error * alpha) ** 2),
             gloss=values,
-            gloss_error=values * np.sqrt(larger[:, None] * np.einsum("tii->ti", covariance)),
+            gloss_error=values * np.sqrt(np.einsum("tii->ti", covariance)),
             residual_rms=np.sqrt(squares / total),
             relative_residual=np.sqrt(squares / power_of),
             own=1.0 - np.trace(kept, axis1=1, axis2=2) / _PARAMETERS,

@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from irodori.fitting.closed_form import best_pair
+from irodori.fitting.observations import TINY
 from irodori.fitting.texel_rows import (
     COSINE,
     F0,
@@ -28,13 +30,14 @@ from irodori.fitting.texel_rows import (
     WEIGHT,
     folded,
     get,
+    item,
     put,
     vectors_of,
 )
 from irodori.fitting.texel_rows import VARIANCE as EXPECTED
 from irodori.fitting.varpro import CG, GG, RG
 from irodori.jit.compilation import njit, uncounted
-from irodori.jit.functions import log, lower_of, root, select, upper_of
+from irodori.jit.functions import exp, log, lower_of, root, select, upper_of
 from irodori.jit.vector_memory import spread
 from irodori.material.material_file import Status
 from irodori.reflection import lobes as lobe_kernels
@@ -49,9 +52,11 @@ NOTHING, DIFFUSE_ALONE, GLOSS_ALONE, BOTH = range(4)
 ALPHA, BETA, LOG_MU, ALPHA_ERROR, BETA_ERROR, LOG_MU_ERROR, SQUARES, POWER, VARIANCE = range(9)
 COLUMNS = 9
 _OK, _AT_BOUND, _DIFFUSE_ONLY = int(Status.OK), int(Status.AT_BOUND), int(Status.DIFFUSE_ONLY)
-_UNIDENTIFIABLE, _FEW_STATUS = int(Status.MU_UNIDENTIFIABLE), int(Status.TOO_FEW_OBSERVATIONS)
+UNIDENTIFIABLE, _FEW_STATUS = int(Status.MU_UNIDENTIFIABLE), int(Status.TOO_FEW_OBSERVATIONS)
 _NON_FINITE, _SATURATED, _DARK = int(Status.NON_FINITE), int(Status.SATURATED), int(Status.DARK)
 _CONTRADICTED = int(Status.CONTRADICTED)
+#: Statuses of texels with visible gloss whose β and μ are not known.
+GLOSS_OPEN = UNIDENTIFIABLE, _SATURATED
 #: Smallest share of the lobe's peak that must be observed; otherwise its height would be an extrapolation.
 SEEN = math.exp(-2.0)
 _WITHIN = math.exp(-1.0)  # share of the lobe's peak above which an observation lies within the highlight
@@ -380,6 +385,46 @@ def missed_gloss(fixed, sums, most_beta, a, variance):
 
 
 @uncounted(error_model="numpy")
+def alpha_over_all_mu(evidence, sums, most_beta, found, errors, rules):
+    """Return the standard error of α of a texel that does not determine its gloss, for numbers or lanes.
+
+    Lobes of other widths may explain such observations as well, with another α, particularly if all angles are nearly
+    the same: the sum of squares is no parabola, and its curvature at the minimum does not tell of them. The error is at
+    least the root mean square distance to the best α at all μ, weighted by their likelihood; no more gloss than a
+    surface can have is considered.
+
+    Parameters
+    ----------
+    evidence : irodori.fitting.observations.Evidence
+    sums : (SUMS, nodes) float64
+        Of the scan, see `irodori.fitting.varpro`.
+    most_beta : (nodes,) float64
+        See `irodori.fitting.texels.Problem`.
+    found : irodori.fitting.observations.Minimum
+    errors : Errors
+    rules : irodori.fitting.observations.Rules
+    """
+    (used, floor, fixed), a = evidence, found.alpha
+    variance = upper_of(errors.squares / upper_of(used - float(PARAMETERS), 1.0), floor)
+    least, total, square = a + np.inf, 0.0 * a, 0.0 * a
+    for last in (False, True):
+        for i in range(most_beta.size):
+            cg, rg, gg = item(sums, CG, i, a), item(sums, RG, i, a), item(sums, GG, i, a)
+            most = max(min(most_beta[i], rules.high_beta), rules.low_beta)
+            other, _, value = best_pair(fixed, cg, rg, gg, (rules.low_alpha, rules.high_alpha, rules.low_beta, most))
+            if not last:
+                least = lower_of(value, least)
+                continue
+            alike, apart = cg / fixed[0], gg - cg * cg / fixed[0]
+            gloss = lower_of(variance / upper_of(apart, SINGULAR * gg + TINY), most * most)
+            weight = exp(0.5 * (least - value) / variance)
+            off = (other - a) * (other - a) + variance / fixed[0] + gloss * alike * alike
+            total, square = total + weight, square + weight * off
+    common = rules.level_error * a
+    return upper_of(errors.alpha, root(square / total + common * common))
+
+
+@uncounted(error_model="numpy")
 def without_gloss(evidence, rules):
     """Return the best α without gloss, and the information criteria of two models: diffuse reflection only, and none.
 
@@ -498,4 +543,4 @@ def gloss_status_of(found, errors, rules):
     reach = _NEAR * errors.log_mu
     edge = edge | (known & ((log_mu + reach >= rules.high_log_mu) | (log_mu - reach <= rules.low_log_mu)))
     stated = select(errors.fits, float(_OK), float(_CONTRADICTED))
-    return select(edge, float(_AT_BOUND), select(known, stated, float(_UNIDENTIFIABLE)))
+    return select(edge, float(_AT_BOUND), select(known, stated, float(UNIDENTIFIABLE)))

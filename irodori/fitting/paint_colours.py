@@ -91,6 +91,42 @@ class Colours:
         out[known], distance[known] = self.paint[place], np.sqrt(best)
         return out, distance
 
+    def between(self, response, variance, one, other) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Estimate which share of a second paint texels show, if they show a mixture of two.
+
+        Parameters
+        ----------
+        response, variance : (texels, bands) float
+            As for `nearest`.
+        one, other : (texels,) int
+            Numbers of the paints.
+
+        Returns
+        -------
+        share, error : (texels,) float64
+            0 to 1, and its standard error, for errors of the colour that all bands share; NaN without a colour.
+        distance : (texels,) float64
+            RMS distance over the bands to the mixture, in units of the scatter of the texel's colour.
+        """
+        first, second = self._nearest_of(response, one), self._nearest_of(response, other)
+        scatter = (STEP * (np.maximum(response, 0.0) + self.floor)) ** 2 + np.nan_to_num(variance)
+        apart = ((second - first) ** 2 / scatter).mean(axis=1)
+        share = np.clip(((response - first) * (second - first) / scatter).mean(axis=1) / apart, 0.0, 1.0)
+        mixture = first + share[:, None] * (second - first)
+        return share, 1.0 / np.sqrt(apart), np.sqrt(((response - mixture) ** 2 / scatter).mean(axis=1))
+
+    def _nearest_of(self, response: np.ndarray, paint: np.ndarray) -> np.ndarray:
+        """Return the response nearest to each texel's, (texels, bands), among those of a given paint."""
+        colour, out = self.scaled(response), np.empty(response.shape)
+        for number in np.unique(paint):
+            here, balls = paint == number, self.centre[self.paint == number]
+            place = np.zeros(int(here.sum()), dtype=np.int64)
+            _nearest_chunk(
+                colour[here], np.ones_like(colour[here]), balls, (np.empty(len(place)), place), 0, len(place)
+            )
+            out[here] = np.expm1(balls[place] * STEP) * self.floor
+        return out
+
 
 #: Typical RMS distance over the bands between two texels of one paint, each with a scatter of 1.
 NEAR = float(np.sqrt(2.0))

@@ -433,22 +433,26 @@ def _weighed(part: np.ndarray, gloss: PaintGloss) -> tuple[np.ndarray, np.ndarra
     The third array is the part of each texel's sum of squares that the scatter explains, (texels,).
     """
     slope, normal = matrices(part)
+    excess = np.reshape(gloss.excess, (-1, 1, 1))
     if not gloss.scatter.any():
-        return slope / gloss.excess, normal / gloss.excess, np.zeros(len(part))
-    weight = _inverse(gloss.excess * np.eye(2) + normal @ gloss.scatter)
+        return slope / excess[..., 0], normal / excess, np.zeros(len(part))
+    weight = _inverse(excess * np.eye(2) + normal @ gloss.scatter)
     weighed = np.einsum("tij,tj->ti", weight, slope)
-    return weighed, weight @ normal, np.einsum("ti,ij,tj->t", slope, gloss.scatter, weighed)
+    return weighed, weight @ normal, ((slope[:, None] @ gloss.scatter)[:, 0] * weighed).sum(axis=1)
 
 
 def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
-    """Fit the texels of a paint with the gloss of the paint as prior."""
-    count, place = len(surface.blocks), gloss.log_gloss
+    """Fit the texels of a paint with the gloss of the paint as prior, or each with one of its own.
+
+    ``gloss`` then has a first axis of texels, see `irodori.fitting.mixtures.gloss_between`.
+    """
+    place = np.broadcast_to(gloss.log_gloss, (len(surface.blocks), 2))
     precision = np.linalg.inv(gloss.varying)
-    own = np.tile(place, (count, 1))
+    own = place.copy()
     for _ in range(3):
         part = sums.parts(surface, own)
         slope, normal, _ = _weighed(part, gloss)
-        step = np.einsum("tij,tj->ti", _inverse(normal + precision), slope - (own - place) @ precision)
+        step = np.einsum("tij,tj->ti", _inverse(normal + precision), slope - ((own - place)[:, None] @ precision)[:, 0])
         own = own + np.clip(step, -_LONGEST, _LONGEST)
         if np.abs(step).max(initial=0.0) < _CLOSE:
             break
@@ -460,17 +464,18 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
     rules = surface.rules
     with np.errstate(invalid="ignore", divide="ignore"):
         by = part[:, [sums.ALPHA_BY_BETA, sums.ALPHA_BY_MU]]
-        variance = gloss.excess / part[:, sums.ALPHA_WEIGHT] + np.einsum(
-            "ti,tij,tj->t", by, covariance + gloss.scatter, by
-        )
         alpha, used = part[:, sums.ALPHA], part[:, sums.USED]
         free = np.maximum(used - 1.0, 1.0)
         squares = part[:, sums.SQUARES] - explained
-        misfit = squares / max(gloss.excess, 1.0)
+        misfit = squares / np.maximum(gloss.excess, 1.0)
         agrees = (used > 0.0) & np.isfinite(alpha) & (misfit <= free + 5.0 * np.sqrt(2.0 * free))
-        # A mixture of paints has neither's gloss: its residuals tell how far the parameters may be off.
+        # Where a little of another paint is seen, residuals tell how far the parameters may be off. The error of the
+        # gloss of a mixture contains that already.
         larger = np.where(agrees, 1.0, np.maximum(squares / free / gloss.excess, 1.0))
-        variance, covariance = larger * variance, larger[:, None, None] * covariance
+        if gloss.log_gloss.ndim == 1:
+            covariance = larger[:, None, None] * covariance
+        variance = larger * gloss.excess / part[:, sums.ALPHA_WEIGHT]
+        variance += np.einsum("ti,tij,tj->t", by, covariance + gloss.scatter, by)
         values = np.exp(own)
         return TexelGloss(
             alpha=alpha,

@@ -161,7 +161,7 @@ def share_gloss(
     Notes
     -----
     A texel keeps the status OK if at least half of the information on its gloss is its own; otherwise it gets the
-    status PAINT. Texels that no paint explains keep their own fit.
+    status PAINT, or MIXTURE where it may show two paints. Texels that no paint explains keep their own fit.
 
     There are further datasets with one entry for each paint: ``/paints/log_gloss``, log β and log μ of each component,
     NaN if unknown; ``/paints/error``, the covariance of their errors; ``/paints/varying``, the covariance of the
@@ -248,7 +248,7 @@ def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: 
     for number, name in enumerate(gloss_maps(options.lobes)):
         maps[name][here], maps[f"{name}_error"][here] = shared.gloss[:, number], shared.gloss_error[:, number]
     own = (maps["status"][here] == Status.OK) & (shared.own >= _OWN)
-    maps["status"][here] = np.where(own, Status.OK, Status.PAINT)
+    maps["status"][here] = np.where(own, Status.OK, np.where(found.is_mixture, Status.MIXTURE, Status.PAINT))
     maps["model"][here] = Model.BOTH
     maps["paint"] = found.paint.astype(np.int16)
 

@@ -19,6 +19,7 @@ from irodori.fitting.diffuse_response import GREEN, Observed, without_gloss
 from irodori.fitting.gloss_search import GlossSearch, PairGloss, share_pair
 from irodori.fitting.gloss_sums import SearchedTexels
 from irodori.fitting.joint_gloss import Contradiction, gloss_of_paints
+from irodori.fitting.mixtures import SEAM, Mixtures, find_mixtures, gloss_between, seams
 from irodori.fitting.paint_colours import NEAR, Colours
 from irodori.fitting.paint_gloss import PaintGloss, TexelGloss, share
 from irodori.fitting.solvers import FitOptions, problem_of
@@ -30,7 +31,6 @@ _PIECE = 16384  # texels that a thread takes at a time
 MOST_TEXELS = 600  # largest number of texels from which the gloss of a paint is fitted
 _LEAST_OF_TILE = 100  # texels of one paint that are taken from a tile, if it has as many
 _LOOKED_AT = 400_000  # texels of an object, in whole rows, from which they are taken: all others need not be read
-_SEAM = 5  # width of a seam in texels, within which a picture shows a mixture
 _WORTH = 0.3  # a colour is not stated if the relative standard error of α exceeds this
 _DARK = 0.01  # and its standard error exceeds this
 #: Statuses with a reliable colour. A contradicted fit, such as of two lobes as one, has a wrong gloss but a usable
@@ -135,15 +135,6 @@ def in_pieces(work: Callable[[np.ndarray], Result], texels: np.ndarray) -> list[
 def believed(tile: Tile) -> np.ndarray:
     """Return the texels with a reliable colour from their separate fits, (texels,) bool."""
     return np.isin(tile.status, BELIEVED)
-
-
-def seams(paint: np.ndarray) -> np.ndarray:
-    """Return the texels near a border between two paints, (height, width) bool; ``paint`` is -1 where unknown."""
-    from scipy import ndimage  # slow to import
-
-    size = {"size": _SEAM, "mode": "nearest"}
-    lowest = ndimage.minimum_filter(np.where(paint < 0, np.iinfo(paint.dtype).max, paint), **size)
-    return ndimage.maximum_filter(paint, **size) > lowest
 
 
 def looked_at(texels: int, width: int, tiles: int) -> np.ndarray:
@@ -264,14 +255,14 @@ def _pair_of(parts: list[Tile], optics: GlossModel) -> PairGloss | None:
 
 @dataclass(frozen=True)
 class Painted:
-    """Parameters of the texels of a tile that were fitted with the gloss of a paint.
+    """Parameters of the texels of a tile that were fitted with the gloss of a paint, or of two.
 
     Parameters
     ----------
     paint : (texels,) int
-        Number of the paint of each texel, -1 for none.
+        Number of the paint of each texel, -1 for none or a mixture.
     texel : (shared,) int
-        Indices of the texels that have a paint.
+        Indices of the texels that have a paint or are a mixture of two.
     shared : TexelGloss
         Parameters of these texels.
     """
@@ -280,6 +271,11 @@ class Painted:
     texel: np.ndarray
     shared: TexelGloss
 
+    @property
+    def is_mixture(self) -> np.ndarray:
+        """Whether a texel of ``shared`` is a mixture of two paints, (shared,) bool."""
+        return self.paint[self.texel] < 0
+
 
 def _share_piece(tile: Tile, gloss: PaintGloss | PairGloss, optics: GlossModel, texels: np.ndarray) -> TexelGloss:
     if isinstance(gloss, PairGloss):
@@ -287,8 +283,27 @@ def _share_piece(tile: Tile, gloss: PaintGloss | PairGloss, optics: GlossModel, 
     return share(tile.surface(optics, texels, sides=False), gloss)
 
 
+def _share_mixtures(tile: Tile, paints: Paints, optics: GlossModel, mixtures: Mixtures, some: np.ndarray) -> TexelGloss:
+    """Fit mixtures, of which ``some`` are chosen."""
+    chosen = Mixtures(*(each[some] for each in mixtures))
+    return _share_piece(tile, gloss_between(paints.gloss, chosen), optics, chosen.texel)
+
+
+def _colours_at(edge: Tile, paint: np.ndarray, paints: Paints, optics: GlossModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return diffuse responses and variances; the gloss of the given paints is subtracted where they are unreliable."""
+    response, variance, own = edge.response.copy(), edge.variance.copy(), believed(edge)
+    for number in paints.known:
+        gloss, here = paints.gloss[number], np.flatnonzero((paint == number) & ~own)
+        assert gloss is not None
+        response[here], variance[here] = edge[here].under(gloss.log_gloss, optics)
+    return response, variance
+
+
 def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -> Painted:
-    """Fit the texels of a tile with the gloss of their paints as prior.
+    """Fit the texels of a tile with the gloss of their paints as prior, and mixtures with that of both paints.
+
+    A texel that no paint explains gets the gloss of the only paint near it, unless a surface of unknown paint is near
+    as well.
 
     Parameters
     ----------
@@ -298,23 +313,38 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -
     from scipy import ndimage  # slow to import
 
     paint = by_colour(tile.response, tile.variance, paints.colours)
-    mixed = seams(paint.reshape(-1, width)).ravel()
-    found = assign(tile, paint, paints, optics, mixed).reshape(-1, width)
+    at_seam = seams(paint.reshape(-1, width))
+    found = assign(tile, paint, paints, optics, at_seam.ravel()).reshape(-1, width)
+    at_seam, filled, mixtures = (at_seam | (found < 0)).ravel(), found, None
     if (found >= 0).any():
-        # At a seam a texel has a mixture of colours; it gets the gloss of the nearest paint.
         far, place = ndimage.distance_transform_edt(found < 0, return_indices=True)
-        mixed |= (found < 0).ravel()
-        found = np.where(far <= 0.5 * _SEAM, found[tuple(place)], -1)
+        filled = np.where(far <= 0.5 * SEAM, found[tuple(place)], -1)
+        edge = np.flatnonzero(seams(filled))
+        response, variance = _colours_at(tile[edge], filled.ravel()[edge], paints, optics)
+        seen = (tile.observed.weight > 0.0).any(axis=1).reshape(-1, width)
+        unknown = ndimage.maximum_filter(seen & (filled < 0), size=SEAM, mode="nearest")
+        filled, mixtures = find_mixtures(edge, found, filled, response, variance, paints.colours)
+        filled = np.where((found < 0) & unknown, -1, filled)
     paint, columns, texels = np.full(found.size, -1), [], []
-    for number in paints.known:
-        gloss, here = paints.gloss[number], np.flatnonzero(found.ravel() == number)
-        assert gloss is not None
-        pieces = in_pieces(functools.partial(_share_piece, tile, gloss, optics), here)
+
+    def keep(here: np.ndarray, pieces: list[TexelGloss], *, contradicted: np.ndarray | bool) -> np.ndarray:
         one = TexelGloss.joined(pieces, len(optics.options.lobes))
-        # A mixture may fit badly without having a gloss of its own.
-        good = (one.agrees | mixed[here]) & (one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK))
-        paint[here[good]] = number
+        good = (one.agrees | contradicted) & (one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK))
         texels.append(here[good])
         columns.append(one[good])
+        return here[good]
+
+    for number in paints.known:
+        gloss, here = paints.gloss[number], np.flatnonzero(filled.ravel() == number)
+        assert gloss is not None
+        pieces = in_pieces(functools.partial(_share_piece, tile, gloss, optics), here)
+        # At a seam, a texel may fit badly without having a gloss of its own.
+        paint[keep(here, pieces, contradicted=at_seam[here])] = number
+    if mixtures is not None:
+        known = np.isin(mixtures.one, paints.known) & np.isin(mixtures.other, paints.known)
+        both = np.flatnonzero(known)
+        if len(both):
+            pieces = in_pieces(functools.partial(_share_mixtures, tile, paints, optics, mixtures), both)
+            keep(mixtures.texel[both], pieces, contradicted=True)
     shared = TexelGloss.joined(columns, len(optics.options.lobes))
     return Painted(paint, np.concatenate([*texels, np.empty(0, dtype=int)]), shared)

@@ -155,10 +155,12 @@ def conclude(t, task, room, evidence, found, sure):
         )
     if not sure:
         errors = judge.Errors(errors.alpha, errors.beta, errors.log_mu, errors.squares, errors.seen, False)
-    status = judge.gloss_status(rows, lobes, clipped, found, errors, rules)
+    status, alpha_error = judge.gloss_status(rows, lobes, clipped, found, errors, rules), errors.alpha
+    if status in judge.GLOSS_OPEN:
+        alpha_error = judge.alpha_over_all_mu(evidence, sums, problem.most_beta, found, errors, rules)
     variance = max(errors.squares / (used - judge.PARAMETERS), floor)
     return judge.Verdict(
-        status, model, found.alpha, found.beta, found.log_mu, errors.alpha, errors.beta, errors.log_mu,
+        status, model, found.alpha, found.beta, found.log_mu, alpha_error, errors.beta, errors.log_mu,
         errors.squares, variance, evaluations,
     )  # fmt: skip
 

@@ -90,9 +90,9 @@ def _minimise(problem, shared, rules, rows, sums, ordinary):
 
 
 @uncounted(error_model="numpy")
-def _judge(rows, lobes, evidence, found, rules, results):
+def _judge(problem, rules, evidence, found, eight):
     """Fill the results of all lanes; return the mask of lanes that need, and are compatible with, both terms."""
-    (used, floor, fixed), (a, b, log_mu, steps) = evidence, found
+    (used, floor, fixed), (a, b, log_mu, steps), rows, lobes = evidence, found, eight.rows, problem.lobes
     squares, chi2, sums, middle, seen = judge.sums_at_minimum(rows, lobes, found, rules, rules.known)
     normal = judge.correlations(sums)
     plain = (sums[0] > 0.0) & (sums[2] > 0.0) & (sums[5] > 0.0) & (normal.determinant > judge.SINGULAR) & (b > 0.0)
@@ -116,7 +116,12 @@ def _judge(rows, lobes, evidence, found, rules, results):
         plain = plain & (judge.information_criterion(squares, used, floor, 3.0 * unknown) < simpler)
     fits = judge.allowed(chi2, upper_of(used - 3.0, 1.0), rules)
     plain = plain & fits
-    status = judge.gloss_status_of(found, judge.Errors(alpha, beta, along, squares, seen, fits), rules)
+    errors = judge.Errors(alpha, beta, along, squares, seen, fits)
+    status = judge.gloss_status_of(found, errors, rules)
+    hidden = status == float(judge.UNIDENTIFIABLE)
+    if any_of(hidden & plain):
+        wide = judge.alpha_over_all_mu(evidence, eight.sums, problem.most_beta, found, errors, rules)
+        alpha = select(hidden, wide, alpha)
     variance = upper_of(squares / (used - judge.PARAMETERS), floor)
     for column, value in (
         (judge.ALPHA, a), (judge.BETA, b), (judge.LOG_MU, log_mu), (judge.ALPHA_ERROR, alpha),
@@ -124,7 +129,7 @@ def _judge(rows, lobes, evidence, found, rules, results):
         (judge.POWER, fixed[2] / fixed[3]), (judge.VARIANCE, variance / fixed[3]), (judge.COLUMNS, status),
         (judge.COLUMNS + 1, steps),
     ):  # fmt: skip
-        store(results, column * LANES, value)
+        store(eight.results, column * LANES, value)
     return plain
 
 
@@ -160,7 +165,7 @@ def fit_eight(problem, shared, rules, first, last, eight):
     if mask_bits(ordinary) == 0:
         return 0
     found = Minimum(found.alpha, found.beta, found.log_mu, steps + float(problem.nodes.size))
-    ordinary = ordinary & _judge(rows, problem.lobes, Evidence(used, floor, fixed), found, rules, eight.results)
+    ordinary = ordinary & _judge(problem, rules, Evidence(used, floor, fixed), found, eight)
     return int(mask_bits(ordinary)) & _unclipped(problem, first, last)
 
 

@@ -25,7 +25,7 @@ COLUMNS: dict[str, tuple[store.Units, str]] = {
     "nlopt_result": (NloptResult, "return code of NLopt"),
 }
 
-_DETERMINED = (Status.OK, Status.PAINT, Status.DIFFUSE_ONLY)
+_DETERMINED = (Status.OK, Status.PAINT, Status.MIXTURE, Status.DIFFUSE_ONLY)
 
 #: Attributes of a tile that say how fast it was fitted.
 SPEED = ("fit_seconds", "texels_fitted")

@@ -32,6 +32,7 @@ _STATUS_COLOURS = (
     "#303030",
     "#a5d6a7",
     "#8d5524",
+    "#e78ac3",
 )
 
 
@@ -122,8 +123,8 @@ def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Mate
     shares = [f"{(status == s.value).mean():6.1%}  {s.name.lower().replace('_', ' ')}" for s in Status]
     axes[9].axis("off")
     for line, (text, colour) in enumerate(zip(shares, _STATUS_COLOURS, strict=True)):
-        axes[9].text(0.0, 0.92 - 0.1 * line, "■", color=colour, fontsize=12, transform=axes[9].transAxes)
-        axes[9].text(0.08, 0.92 - 0.1 * line, text, fontsize=9, family="monospace", transform=axes[9].transAxes)
+        axes[9].text(0.0, 0.92 - 0.09 * line, "■", color=colour, fontsize=12, transform=axes[9].transAxes)
+        axes[9].text(0.08, 0.92 - 0.09 * line, text, fontsize=9, family="monospace", transform=axes[9].transAxes)
     return _finish(figure)
 
 

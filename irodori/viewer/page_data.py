@@ -114,7 +114,7 @@ def _status(material: Material) -> np.ndarray:
     found = np.full(material.alpha.shape, MEASURED, dtype=np.uint8)
     if _STATUS in material.extra:
         fit = material.extra[_STATUS][0]
-        found[fit == Status.PAINT] = PAINT
+        found[np.isin(fit, (Status.PAINT, Status.MIXTURE))] = PAINT
         found[fit == Status.MU_UNIDENTIFIABLE] = UNKNOWN
     found[~material.observed] = FILLED
     return found
