@@ -17,6 +17,7 @@ import numpy as np
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.sensitivity_prior import with_least_power
 from irodori.core.errors import InputError
+from irodori.light.environment_file import PixelNoise
 from irodori.light.light_prior import CommonErrors, LightPrior, differences_from, prior_of_any_lamp, seen_moment
 from irodori.light.recovery_loops import mixture_weights
 from irodori.spectra.grid import SAMPLES
@@ -39,6 +40,7 @@ _COMPARED = 1000  # approximate number of directions that are compared in colour
 #: Least share of the largest variance of errors that are kept. It is small because colours depend on errors that the
 #: responses leave small, beside large ones that neither camera nor eye sees.
 _LEAST_VARIANCE = 1e-10
+_LEAST_STEP = 1e-3  # smallest relative step of a response over which slopes are taken; weights have single precision
 
 
 @dataclass(frozen=True)
@@ -411,3 +413,29 @@ class LightRecovery:
         out = np.empty((len(flat), self.maps.shape[1]), dtype=np.float32)
         mixture_weights(flat, self.weight, self.factor, self.maps, out)
         return out.reshape(*response.shape[:-1], -1)
+
+    def noise(self, model: np.ndarray, directions: Directions) -> PixelNoise:
+        """Compute what the camera's noise changes of the light.
+
+        Parameters
+        ----------
+        model : (bands, 2) float
+            c0 and c1 of the variance c0 + c1 ρ of a response ρ.
+        directions : Directions
+            Directions of the room.
+        """
+        response, share = directions.response, directions.share
+        size = np.linalg.norm(response, axis=1)[:, None]
+        # The recovery is not linear: its slope is taken over the step of the noise, not at a point.
+        deviation = np.sqrt(model[:, 0] + model[:, 1] * np.maximum(response, 0.0))
+        deviation = np.maximum(deviation, _LEAST_STEP * size)
+        slope = np.zeros((response.shape[1], self.maps.shape[1]))
+        for band, step in enumerate(deviation.T):
+            moved = np.zeros_like(response)
+            moved[:, band] = step
+            change = self.weights(response + moved).astype(np.float64) - self.weights(response - moved)
+            slope[band] = (share / (2.0 * step)) @ change
+        # The response to the light as it was recovered, with the weights of `_solved`.
+        relative = np.sqrt(share)[:, None] / size
+        seen = np.linalg.lstsq(relative * self.weights(response), relative * response, rcond=None)[0]
+        return PixelNoise(model[:, 0], (model[:, 1] * seen).T @ self.basis.T, slope @ self.basis.T)
