@@ -20,6 +20,25 @@ from irodori.spectra.grid import SAMPLES
 QUANTITY = "coefficients of the radiance"
 
 
+def merged_variance(exposure_noise: np.ndarray, exposure_limit: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """Return the variance of responses, (..., bands), merged from exposures with inverse variances as weights.
+
+    Parameters
+    ----------
+    exposure_noise : (exposures, bands, 2) float
+        c0 and c1 of the variance c0 + c1 ρ of a response ρ in each exposure alone, the shortest first.
+    exposure_limit : (exposures, bands) float
+        Response from which an exposure no longer counts; the shortest always does.
+    response : (..., bands) float
+        The result has its type.
+    """
+    lit, (first, *longer) = np.maximum(response, 0), exposure_noise.astype(response.dtype)
+    known = 1 / (first[:, 0] + first[:, 1] * lit)
+    for model, limit in zip(longer, exposure_limit[1:], strict=True):
+        known += (lit < limit) / (model[:, 0] + model[:, 1] * lit)
+    return np.divide(1, known, out=known)
+
+
 @dataclass(frozen=True)
 class PixelNoise:
     """Noise of a photograph, independent from pixel to pixel, in the light that was recovered from it.
@@ -28,22 +47,23 @@ class PixelNoise:
 
     Parameters
     ----------
-    dark : (bands,) float64
-        Variance of the responses without light.
-    shot : (bands, 61) float64
-        What light L(λ) adds to it: shot @ L, where that is positive.
+    exposure_noise, exposure_limit
+        See `merged_variance`.
+    response : (bands, 61) float64
+        Responses to light L(λ): response @ L.
     light : (bands, 61) float64
         Change of the light per response.
     """
 
-    dark: np.ndarray
-    shot: np.ndarray
+    exposure_noise: np.ndarray
+    exposure_limit: np.ndarray
+    response: np.ndarray
     light: np.ndarray
 
     def drawn(self, coefficients: np.ndarray, basis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Draw noise for every pixel of coefficients, (..., k), on a basis, (61, k); return (..., k) float32."""
-        variance = np.maximum(coefficients @ np.float32(basis.T @ self.shot.T), np.float32(0.0))
-        variance += np.float32(self.dark)
+        response = coefficients @ np.float32(basis.T @ self.response.T)
+        variance = merged_variance(self.exposure_noise, self.exposure_limit, response)
         noise = rng.standard_normal(variance.shape, dtype=np.float32)
         noise *= np.sqrt(variance, out=variance)
         return noise @ np.float32(self.light @ np.linalg.pinv(basis).T)
@@ -51,8 +71,9 @@ class PixelNoise:
 
 #: Datasets of the noise in the file, by field: their axes and what they are.
 _NOISE = {
-    "dark": ("band", "variance of the responses without light"),
-    "shot": ("band,wavelength", "variance of the responses per radiance"),
+    "exposure_noise": ("exposure,band,term", "variance c0 + c1 rho of one exposure"),
+    "exposure_limit": ("exposure,band", "response from which an exposure no longer counts"),
+    "response": ("band,wavelength", "response per radiance"),
     "light": ("band,wavelength", "change of the recovered radiance per response"),
 }
 

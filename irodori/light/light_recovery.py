@@ -17,7 +17,7 @@ import numpy as np
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.sensitivity_prior import with_least_power
 from irodori.core.errors import InputError
-from irodori.light.environment_file import PixelNoise
+from irodori.light.environment_file import PixelNoise, merged_variance
 from irodori.light.light_prior import CommonErrors, LightPrior, differences_from, prior_of_any_lamp, seen_moment
 from irodori.light.recovery_loops import mixture_weights
 from irodori.spectra.grid import SAMPLES
@@ -414,20 +414,19 @@ class LightRecovery:
         mixture_weights(flat, self.weight, self.factor, self.maps, out)
         return out.reshape(*response.shape[:-1], -1)
 
-    def noise(self, model: np.ndarray, directions: Directions) -> PixelNoise:
+    def noise(self, exposure_noise: np.ndarray, exposure_limit: np.ndarray, directions: Directions) -> PixelNoise:
         """Compute what the camera's noise changes of the light.
 
         Parameters
         ----------
-        model : (bands, 2) float
-            c0 and c1 of the variance c0 + c1 ρ of a response ρ.
+        exposure_noise, exposure_limit : see `irodori.light.environment_file.merged_variance`
         directions : Directions
             Directions of the room.
         """
         response, share = directions.response, directions.share
         size = np.linalg.norm(response, axis=1)[:, None]
         # The recovery is not linear: its slope is taken over the step of the noise, not at a point.
-        deviation = np.sqrt(model[:, 0] + model[:, 1] * np.maximum(response, 0.0))
+        deviation = np.sqrt(merged_variance(exposure_noise, exposure_limit, response))
         deviation = np.maximum(deviation, _LEAST_STEP * size)
         slope = np.zeros((response.shape[1], self.maps.shape[1]))
         for band, step in enumerate(deviation.T):
@@ -438,4 +437,4 @@ class LightRecovery:
         # The response to the light as it was recovered, with the weights of `_solved`.
         relative = np.sqrt(share)[:, None] / size
         seen = np.linalg.lstsq(relative * self.weights(response), relative * response, rcond=None)[0]
-        return PixelNoise(model[:, 0], (model[:, 1] * seen).T @ self.basis.T, slope @ self.basis.T)
+        return PixelNoise(exposure_noise, exposure_limit, seen.T @ self.basis.T, slope @ self.basis.T)

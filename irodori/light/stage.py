@@ -87,9 +87,8 @@ def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
 def _pixel_noise(linear, recovery: LightRecovery, drawn: Directions) -> PixelNoise | None:
     """Return the noise of a photograph in its light; None, with a warning, if the camera's noise is not known."""
     with store.open_file(linear) as file:
-        model = file.read("noise_model") if "noise_model" in file else np.full((1, 2), np.nan)
-    if np.isfinite(model).all():
-        return recovery.noise(model, drawn)
+        if "exposure_noise" in file and np.isfinite(noise := file.read("exposure_noise")).all():
+            return recovery.noise(noise, file.read("exposure_limit"), drawn)
     LOGGER.warning("%s: the camera's noise is not known, and no error of the light contains it", linear)
     return None
 

@@ -74,10 +74,10 @@ def test_upward_white_is_the_radiance_of_a_diffuser_that_faces_up(tmp_path):
     assert loaded.file == tmp_path / "e.h5" and environment.file is None
 
 
-@pytest.mark.parametrize("name", ["irradiance", "basis_errors", "noise/shot", "noise/light"])
+@pytest.mark.parametrize("name", ["irradiance", "basis_errors", "noise/response", "noise/light"])
 def test_a_light_whose_parts_have_different_numbers_of_bases_is_refused(tmp_path, name):
     path, sky = tmp_path / "e.h5", np.ones((8, 16, 2), np.float32)
-    noise = PixelNoise(np.ones(3), np.ones((3, 61)), np.ones((3, 61)))
+    noise = PixelNoise(np.ones((1, 3, 2)), np.ones((1, 3)), np.ones((3, 61)), np.ones((3, 61)))
     whole = Environment(sky, np.ones((61, 2)), irradiance_map(sky, 8, 4), basis_errors=np.ones((5, 61, 2)), noise=noise)
     whole.save(path, store.Provenance("test"))
     with h5py.File(path, "r+") as file:
@@ -195,7 +195,8 @@ def write_inputs(folder, response, valid, calibration, clipped=None, noise=None)
         clipped = 1 - valid if clipped is None else clipped
         out.write("clipped", clipped, units="1", dims="row,column", quantity="clipped")
         if noise is not None:
-            out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
+            out.write("exposure_noise", noise[None], units="1", dims="exposure,band,term", quantity="noise")
+            out.write("exposure_limit", np.ones((1, len(noise))), units="1", dims="exposure,band", quantity="limit")
         out.attribute("filters", ["out"])
     with store.create(folder / "calibration.h5", store.Provenance("test")) as out:
         write_wavelength(out)
@@ -256,7 +257,7 @@ def test_the_stage_states_the_noise_of_the_photograph_and_says_so_where_the_came
     rng = np.random.default_rng(9)
     calibration = Calibration(np.eye(61)[:, [10, 30, 50]], LinearMapping(np.eye(3)), np.full(61, 2.0), ("out",))
     response = rng.uniform(0.2, 1.0, (32, 64, 3))
-    model = np.array([[1e-4, 4e-3], [4e-4, 0.0], [0.0, 1e-3]])
+    model = np.array([[1e-4, 4e-3], [4e-4, 0.0], [1e-6, 1e-3]])
     noisy = response + np.sqrt(model[:, 0] + model[:, 1] * response) * rng.standard_normal(response.shape)
     write_inputs(tmp_path, noisy, np.ones((32, 64), np.uint8), calibration, noise=model)
     light = stage(tmp_path)

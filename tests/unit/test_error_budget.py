@@ -234,7 +234,7 @@ def test_what_is_not_known_has_a_reason_for_no_prediction(rows):
 def test_the_noise_of_the_panorama_reaches_the_picture_as_large_as_predicted():
     """The pixels of a small panorama are large: their noise does not cancel on what they light."""
     exact = replace(light_of_three(), basis_errors=np.zeros((1, 61, 3)))
-    noise = PixelNoise(np.zeros(3), 0.5 * np.linalg.pinv(PAINTS), PAINTS.T)
+    noise = PixelNoise(np.full((1, 3, 2), [1e-9, 0.5]), np.zeros((1, 3)), np.linalg.pinv(PAINTS), PAINTS.T)
     for one in (exact, replace(exact, noise=noise)):
         found = budget(measured(), one.drawn(np.random.default_rng(5)))["light"]
         assert (found.mean > 0.1) == (one.noise is not None)

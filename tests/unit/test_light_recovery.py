@@ -473,7 +473,7 @@ def test_the_stated_noise_is_the_scatter_of_repeated_photographs(seen, prior, el
     model = np.tile([4.0 * shot**2, shot], (6, 1))
     room = Directions(response, response.sum(axis=1) / response.sum())
     recovery = LightRecovery.of_room(seen.model, room, prior)
-    noise, own = recovery.noise(model, room), recovery.weights(response)
+    noise, own = recovery.noise(model[None], np.zeros((1, 6)), room), recovery.weights(response)
     photographs = rng.poisson(response / shot, (400, *response.shape)) * shot
     photographs = photographs + 2.0 * shot * rng.standard_normal(photographs.shape)
     off = (recovery.weights(photographs) - own) @ recovery.basis.T @ matching
@@ -488,15 +488,16 @@ def test_noise_of_a_drawn_light_differs_from_pixel_to_pixel_and_mostly_cancels_i
     basis, rng = np.linalg.qr(np.random.default_rng(3).uniform(0.1, 1.0, (61, 2)))[0], np.random.default_rng(4)
     sky = np.ones((16, 32, 2), np.float32)
     sky[:, 16:] *= 5.0
-    # Two bands that show one coefficient each; darker than nothing is no less noisy than dark.
-    noise = PixelNoise(np.array([0.01, 0.04]), 0.1 * basis.T, np.array([[2.0], [1.0]]) * basis.T)
+    # Two bands that show one coefficient each. Darker than nothing is no less noisy than dark.
+    model = np.array([[[0.01, 0.1], [0.04, 0.1]]])
+    noise = PixelNoise(model, np.zeros((1, 2)), basis.T, np.array([[2.0], [1.0]]) * basis.T)
     flat = np.ones((8, 16, 2), np.float32)
     light = Environment(sky, basis, flat, basis_errors=np.zeros((1, 61, 2)), noise=noise)
     light.save(tmp_path / "e.h5", store.Provenance("test"), gloss=None)
     stored = Environment.load(tmp_path / "e.h5")
     draws = [stored.drawn(rng) for _ in range(400)]
     off = np.stack([one.coefficients for one in draws]) - sky
-    variance = np.array([4.0, 1.0]) * (noise.dark + 0.1 * sky)
+    variance = np.array([4.0, 1.0]) * (model[0, :, 0] + 0.1 * sky)
     assert (off.var(axis=0) / variance).mean() == pytest.approx(1.0, rel=0.02)
     assert off[..., 16:, :].var(axis=(0, 1, 2)) == pytest.approx(variance[0, 16], rel=0.03)
     beside = np.mean(off[:, :, 1:] * off[:, :, :-1] / np.sqrt(variance[:, 1:] * variance[:, :-1]))
