@@ -40,7 +40,6 @@ _COMPARED = 1000  # approximate number of directions that are compared in colour
 #: Least share of the largest variance of errors that are kept. It is small because colours depend on errors that the
 #: responses leave small, beside large ones that neither camera nor eye sees.
 _LEAST_VARIANCE = 1e-10
-_LEAST_STEP = 1e-3  # smallest relative step of a response over which slopes are taken; weights have single precision
 
 
 @dataclass(frozen=True)
@@ -424,17 +423,13 @@ class LightRecovery:
             Directions of the room.
         """
         response, share = directions.response, directions.share
-        size = np.linalg.norm(response, axis=1)[:, None]
         # The recovery is not linear: its slope is taken over the step of the noise, not at a point.
         deviation = np.sqrt(merged_variance(exposure_noise, exposure_limit, response))
-        deviation = np.maximum(deviation, _LEAST_STEP * size)
         slope = np.zeros((response.shape[1], self.maps.shape[1]))
         for band, step in enumerate(deviation.T):
             moved = np.zeros_like(response)
             moved[:, band] = step
             change = self.weights(response + moved).astype(np.float64) - self.weights(response - moved)
             slope[band] = (share / (2.0 * step)) @ change
-        # The response to the light as it was recovered, with the weights of `_solved`.
-        relative = np.sqrt(share)[:, None] / size
-        seen = np.linalg.lstsq(relative * self.weights(response), relative * response, rcond=None)[0]
+        seen = np.linalg.lstsq(self.weights(response).astype(np.float64), response, rcond=None)[0]
         return PixelNoise(exposure_noise, exposure_limit, seen.T @ self.basis.T, slope @ self.basis.T)

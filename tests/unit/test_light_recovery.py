@@ -15,7 +15,7 @@ from irodori.colour.colorimetry import colour_matching_weights
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.evaluation.truth_errors import radiance_delta_e
-from irodori.light.environment_file import Environment, PixelNoise, directions, row_solid_angles
+from irodori.light.environment_file import Environment, PixelNoise, directions, merged_variance, row_solid_angles
 from irodori.light.light_prior import (
     LightPrior,
     led_lamps,
@@ -482,6 +482,18 @@ def test_the_stated_noise_is_the_scatter_of_repeated_photographs(seen, prior, el
     assert stated == pytest.approx(np.sqrt(np.square(off).mean(axis=0)), rel=0.3)
     one, two = (np.mean(np.abs(off) <= n * stated) for n in (1, 2))
     assert 0.62 < one < 0.75 and two > 0.93
+
+
+def test_inverse_variances_of_the_exposures_that_count_are_summed():
+    """A brighter response is seen by fewer exposures; one below zero has the noise of the dark."""
+    model = np.array([[[9.0, 2.0], [8.0, 4.0]], [[3.0, 1.0], [2.0, 2.0]], [[1.0, 0.5], [0.5, 1.0]]])
+    limit = np.array([[0.1, 0.1], [20.0, 30.0], [5.0, 6.0]])
+    for response, count in ((-1.0, 3), (2.0, 3), (10.0, 2), (40.0, 1)):
+        expected = [
+            1.0 / sum(1.0 / (c0 + c1 * max(response, 0.0)) for c0, c1 in model[:count, band]) for band in (0, 1)
+        ]
+        found = merged_variance(model, limit, np.full((3, 2), response, np.float32))
+        assert found.dtype == np.float32 and found == pytest.approx(np.tile(expected, (3, 1)), rel=1e-5)
 
 
 def test_noise_of_a_drawn_light_differs_from_pixel_to_pixel_and_mostly_cancels_in_its_irradiance(tmp_path):
