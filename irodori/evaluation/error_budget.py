@@ -293,7 +293,9 @@ class _Budget:
             return
         lights = [self._estimated_light.drawn(self._rng) for _ in range(_LIGHTS)]
         predicted = np.mean([self._moved(self._estimates, light) for light in lights], axis=0)
-        self._add("light", values, predicted, "what the responses leave open of the lamps known, on surfaces")
+        self._add(
+            "light", values, predicted, "what the responses and their noise leave open of the lamps known, on surfaces"
+        )
 
     def add_compression(self, of_materials: CompressOptions, of_light: CompressOptions) -> None:
         """Add the rows of the compression of materials and of light."""

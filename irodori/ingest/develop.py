@@ -10,7 +10,7 @@ from irodori.config.capture_table import Shot, shot_path
 from irodori.core.errors import InputError
 from irodori.ingest.exposure_settings import iso_ratio, relative_exposure_s, settle
 from irodori.ingest.ingest_options import IngestOptions
-from irodori.ingest.merge import ABSENT, ExposureBracket, PatternPlanes, merge
+from irodori.ingest.merge import ABSENT, FADED, ExposureBracket, PatternPlanes, merge
 from irodori.ingest.mosaic import Mosaic, decode, demosaic
 
 _PEDESTAL = 512  # digital number that represents black in a demosaiced picture
@@ -48,6 +48,8 @@ class Developed:
         Pixels that a hot mosaic pixel affects.
     noise : (3, 2) float64
         c0 and c1 of the variance c0 + c1 x response at the centre of the picture; NaN if unknown.
+    exposures : (exposures, 3, 3) float64
+        c0 and c1 of each exposure alone, the shortest first, and the response from which it no longer counts.
     pattern : str
         Colours of the first 2 x 2 pixels of the mosaic; empty for a picture that is not a mosaic.
     """
@@ -56,6 +58,7 @@ class Developed:
     clipped: np.ndarray
     hot: np.ndarray
     noise: np.ndarray
+    exposures: np.ndarray
     pattern: str
 
     @property
@@ -177,10 +180,13 @@ def merge_frames(reference, frames: list[Frame], options: IngestOptions, white, 
     out = empty_response(height, width, 1) if out is None else out
     clipped = np.zeros(shape, dtype=np.bool_)
     bracket = _bracket(reference, frames)
-    shares = merge(_planes(reference, frames, options, on_sensor), bracket, white, options.sample_px, out, clipped)
+    planes = _planes(reference, frames, options, on_sensor)
+    shares = merge(planes, bracket, white, options.sample_px, out, clipped)
     hot = _hot(reference, first.values.shape, options) if on_sensor else np.zeros(shape, dtype=np.bool_)
-    noise = _noise_model(bracket, white, shares, options, 1.0 if first.linear else 2.0)
-    return Developed(out, clipped, hot, noise, "" if first.linear else first.pattern)
+    greens = 1.0 if first.linear else 2.0
+    noise = _noise_model(bracket, white, shares, options, greens)
+    exposures = _noise_of_exposures(bracket, white, planes, options, greens)
+    return Developed(out, clipped, hot, noise, exposures, "" if first.linear else first.pattern)
 
 
 def empty_response(height: int, width: int, states: int) -> np.ndarray:
@@ -273,3 +279,21 @@ def _noise_model(
     shot = np.sum(dn_per_response * bracket.electrons_per_dn, axis=1)
     samples = np.array([1.0, greens, 1.0])
     return np.stack([1.0 / read / samples, 1.0 / shot / samples], axis=-1)
+
+
+def _noise_of_exposures(
+    bracket: ExposureBracket, white, planes: PatternPlanes, options: IngestOptions, greens: float
+) -> np.ndarray:
+    """Return c0 and c1 of each exposure alone, and the response from which it no longer counts, (exposures, 3, 3).
+
+    That of the shortest is where it clips. All are NaN if the noise is unknown.
+    """
+    alone = (ExposureBracket(*(field[[k]] for field in bracket)) for k in range(bracket.exposure_dn.size))
+    models = np.stack([_noise_model(one, white, np.ones((3, 1)), options, greens) for one in alone])
+    if not np.isfinite(models).all():
+        return np.full((len(models), 3, 3), np.nan)
+    level = white if white.ndim == 1 else white[:, 0]
+    room = np.stack([(planes.clip - planes.black)[planes.bands == band].min(axis=0) for band in range(3)], axis=-1)
+    limit = room / (level * bracket.exposure_dn[:, None])
+    limit[1:] *= FADED
+    return np.concatenate([models, limit[..., None]], axis=-1)

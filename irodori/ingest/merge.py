@@ -24,6 +24,7 @@ from irodori.jit.compilation import njit
 _BLOCK = 8  # samples along the side of a block
 _CHUNKS = 32  # number of groups of rows of blocks, which the threads process
 _FADE_FROM, _FADE_TO = 0.6, 0.85  # shares of the range from black to the clip level
+FADED = 0.5 * (_FADE_FROM + _FADE_TO)  # that at which a longer exposure has half of its weight
 #: Placeholder for a missing dark frame; strided like a view of one, so that the loops are compiled only once.
 ABSENT = np.zeros((4, 4), dtype=np.int16)[::2, ::2]
 _TEXTURE = 2.0  # variance of a block, relative to its noise, that indicates texture; noise alone scatters it by 18 %

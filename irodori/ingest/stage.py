@@ -59,7 +59,10 @@ def ingest_raw(
     band was measured; ``/clipped`` (H, W) uint8, 1 where a band is at or above the clip level in every exposure of its
     bracket (a pixel that is neither valid nor clipped is hot or outside the picture); ``/noise_model`` (bands, 2),
     coefficients of the variance c0 + c1 * response at the picture's centre for the exposures merged, NaN if the
-    camera's noise was not measured; ``/registration`` (4), see `irodori.ingest.shot_alignment`, with two filter states.
+    camera's noise was not measured; ``/exposure_noise`` (exposures, bands, 2), these coefficients of each exposure
+    alone, the shortest first, and ``/exposure_limit`` (exposures, bands), the response from which it no longer counts,
+    0 for one that a filter state lacks; ``/registration`` (4), see `irodori.ingest.shot_alignment`, with two filter
+    states.
     The attribute ``sample_px`` is the side of a sample in mosaic pixels.
     """
     shots = [s for s in read_captures(table, folder) if s.capture == capture]
@@ -113,6 +116,15 @@ def _check_settings(camera: Reference, shots: list[Shot], table) -> None:
         raise InputError(table, column, found, accepted)
 
 
+def _of_all_states(exposures: list[np.ndarray]) -> np.ndarray:
+    """Join the noise of the exposures of all filter states; one that a state lacks never counts."""
+    out = np.empty((max(map(len, exposures)), len(exposures), *exposures[0].shape[1:]))
+    out[:] = 1.0, 0.0, 0.0
+    for number, state in enumerate(exposures):
+        out[: len(state), number] = state
+    return out.reshape(len(out), -1, out.shape[-1])
+
+
 def _write(
     output,
     provenance: store.Provenance,
@@ -143,6 +155,11 @@ def _write(
         noise = np.concatenate([state.noise for state in developed])
         out.coordinate("term", ["c0", "c1"], units="1", quantity="coefficient of the variance")
         out.write("noise_model", noise, units="1", dims="band,term", quantity="variance c0 + c1 rho")
+        exposures = _of_all_states([state.exposures for state in developed])
+        quantity, dims = "variance c0 + c1 rho of one exposure", "exposure,band,term"
+        out.write("exposure_noise", exposures[..., :2], units="1", dims=dims, quantity=quantity)
+        quantity = "response from which an exposure no longer counts"
+        out.write("exposure_limit", exposures[..., 2], units="1", dims="exposure,band", quantity=quantity)
         if alignment is not None:
             alignment.write(out)
         pose = shots[0].pose

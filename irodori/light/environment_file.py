@@ -20,6 +20,64 @@ from irodori.spectra.grid import SAMPLES
 QUANTITY = "coefficients of the radiance"
 
 
+def merged_variance(exposure_noise: np.ndarray, exposure_limit: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """Return the variance of responses, (..., bands), merged from exposures with inverse variances as weights.
+
+    Parameters
+    ----------
+    exposure_noise : (exposures, bands, 2) float
+        c0 and c1 of the variance c0 + c1 ρ of a response ρ in each exposure alone, the shortest first.
+    exposure_limit : (exposures, bands) float
+        Response from which an exposure no longer counts; the shortest always does.
+    response : (..., bands) float
+        The result has its type.
+    """
+    lit, (first, *longer) = np.maximum(response, 0), exposure_noise.astype(response.dtype)
+    known = 1 / (first[:, 0] + first[:, 1] * lit)
+    for model, limit in zip(longer, exposure_limit[1:], strict=True):
+        known += (lit < limit) / (model[:, 0] + model[:, 1] * lit)
+    return np.divide(1, known, out=known)
+
+
+@dataclass(frozen=True)
+class PixelNoise:
+    """Noise of a photograph, independent from pixel to pixel, in the light that was recovered from it.
+
+    The noise of each band changes the light by a spectrum, the same in all directions: the mean slope of the recovery.
+
+    Parameters
+    ----------
+    exposure_noise, exposure_limit
+        See `merged_variance`.
+    response : (bands, 61) float64
+        Responses to light L(λ): response @ L.
+    light : (bands, 61) float64
+        Change of the light per response.
+    """
+
+    exposure_noise: np.ndarray
+    exposure_limit: np.ndarray
+    response: np.ndarray
+    light: np.ndarray
+
+    def drawn(self, coefficients: np.ndarray, basis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Draw noise for every pixel of coefficients, (..., k), on a basis, (61, k); return (..., k) float32."""
+        response = coefficients @ np.float32(basis.T @ self.response.T)
+        variance = merged_variance(self.exposure_noise, self.exposure_limit, response)
+        noise = rng.standard_normal(variance.shape, dtype=np.float32)
+        noise *= np.sqrt(variance, out=variance)
+        return noise @ np.float32(self.light @ np.linalg.pinv(basis).T)
+
+
+#: Datasets of the noise in the file, by field: their axes and what they are.
+_NOISE = {
+    "exposure_noise": ("exposure,band,term", "variance c0 + c1 rho of one exposure"),
+    "exposure_limit": ("exposure,band", "response from which an exposure no longer counts"),
+    "response": ("band,wavelength", "response per radiance"),
+    "light": ("band,wavelength", "change of the recovered radiance per response"),
+}
+
+
 @dataclass(frozen=True)
 class Environment:
     """Spectral light from all directions, as coefficients on a basis.
@@ -38,6 +96,8 @@ class Environment:
         For recovered light: independent errors of the basis. Their sum, each multiplied by a standard normal number, is
         a random error that the camera's responses allow. It is an error of the basis because it is the same wherever
         the light of a lamp falls.
+    noise : PixelNoise, optional
+        For recovered light, if the camera's noise is known.
     """
 
     coefficients: np.ndarray
@@ -45,6 +105,7 @@ class Environment:
     irradiance: np.ndarray
     file: Path | None = None
     basis_errors: np.ndarray | None = None
+    noise: PixelNoise | None = None
 
     def irradiance_under(self, n: float, k: float) -> np.ndarray:
         """Return the irradiance under a coat of the index n + ik, (h, w, k) float32, for the normals of `irradiance`.
@@ -103,6 +164,9 @@ class Environment:
         if self.basis_errors is not None:
             dims, quantity = "error,wavelength,component", "independent errors of the basis of the light"
             out.write("basis_errors", self.basis_errors, units="1", dims=dims, quantity=quantity)
+        if self.noise is not None:
+            for name, (dims, quantity) in _NOISE.items():
+                out.write(f"noise/{name}", getattr(self.noise, name), units="1", dims=dims, quantity=quantity)
         out.attribute("errors", errors or {})
         out.attribute("origin", origin or {})
 
@@ -124,6 +188,9 @@ class Environment:
         with store.open_file(path) as file:
             if "basis_errors" in file:
                 axes["basis_errors"] = "error,wavelength,component"
+            noisy = "noise" in file
+            if noisy:
+                axes |= {f"noise/{name}": dims for name, (dims, _) in _NOISE.items()}
             file.require_axes(axes, wavelength=SAMPLES)
             coefficients = read_coefficients(file, "coefficients")
             if not np.isfinite(coefficients).all():
@@ -134,10 +201,13 @@ class Environment:
                 file.read_within("irradiance"),
                 Path(path),
                 file.read_within("basis_errors") if "basis_errors" in file else None,
+                PixelNoise(*(file.read_within(f"noise/{name}") for name in _NOISE)) if noisy else None,
             )
 
     def drawn(self, rng: np.random.Generator) -> "Environment":
-        """Return the light with a random error of its basis: another light that is compatible with the photograph.
+        """Return the light with random errors: another light that is compatible with the photograph.
+
+        The basis has one error, which all directions share; each pixel has noise of its own.
 
         Raises
         ------
@@ -146,9 +216,18 @@ class Environment:
         """
         if self.basis_errors is None:
             raise ValueError("a light without errors; accepted: one that was recovered from a photograph")
-        # The irradiance map has the same basis, so only the basis changes.
+        # The irradiance map has the same basis: of it, too, only the basis changes.
         error = np.tensordot(rng.standard_normal(len(self.basis_errors)), self.basis_errors, axes=1)
-        return replace(self, basis=self.basis + error)
+        other = replace(self, basis=self.basis + error)
+        if self.noise is None:
+            return other
+        from irodori.light.irradiance import Integrator
+
+        noise = self.noise.drawn(self.coefficients, self.basis, rng)
+        height, width = self.irradiance.shape[:2]
+        of_noise = Integrator(noise)(directions(width, height)[0]).astype(np.float32)
+        # Blurred light in the file is that of the photograph, without this noise.
+        return replace(other, coefficients=self.coefficients + noise, irradiance=self.irradiance + of_noise, file=None)
 
     def upward_white(self) -> np.ndarray:
         """Return the radiance of a perfect diffuser that faces up, (61,): the scene's white."""

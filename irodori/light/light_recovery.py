@@ -17,6 +17,7 @@ import numpy as np
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.sensitivity_prior import with_least_power
 from irodori.core.errors import InputError
+from irodori.light.environment_file import PixelNoise, merged_variance
 from irodori.light.light_prior import CommonErrors, LightPrior, differences_from, prior_of_any_lamp, seen_moment
 from irodori.light.recovery_loops import mixture_weights
 from irodori.spectra.grid import SAMPLES
@@ -411,3 +412,24 @@ class LightRecovery:
         out = np.empty((len(flat), self.maps.shape[1]), dtype=np.float32)
         mixture_weights(flat, self.weight, self.factor, self.maps, out)
         return out.reshape(*response.shape[:-1], -1)
+
+    def noise(self, exposure_noise: np.ndarray, exposure_limit: np.ndarray, directions: Directions) -> PixelNoise:
+        """Compute what the camera's noise changes of the light.
+
+        Parameters
+        ----------
+        exposure_noise, exposure_limit : see `irodori.light.environment_file.merged_variance`
+        directions : Directions
+            Directions of the room.
+        """
+        response, share = directions.response, directions.share
+        # The recovery is not linear: its slope is taken over the step of the noise, not at a point.
+        deviation = np.sqrt(merged_variance(exposure_noise, exposure_limit, response))
+        slope = np.zeros((response.shape[1], self.maps.shape[1]))
+        for band, step in enumerate(deviation.T):
+            moved = np.zeros_like(response)
+            moved[:, band] = step
+            change = self.weights(response + moved).astype(np.float64) - self.weights(response - moved)
+            slope[band] = (share / (2.0 * step)) @ change
+        seen = np.linalg.lstsq(self.weights(response).astype(np.float64), response, rcond=None)[0]
+        return PixelNoise(exposure_noise, exposure_limit, seen.T @ self.basis.T, slope @ self.basis.T)

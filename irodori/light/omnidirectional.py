@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from irodori.core.errors import InputError
-from irodori.light.environment_file import directions
+from irodori.light.environment_file import PixelNoise, directions
 
 #: Rows of a picture that are read at a time; EXR compresses 16 or 32 rows together.
 BAND_ROWS = 32
@@ -33,6 +33,8 @@ class OmnidirectionalPicture:
         Source of the picture, and assumptions; counts in it are complete after all bands have been read.
     basis_errors : (q, 61, r) float, optional
         Independent errors of the basis, see `irodori.light.light_recovery`; None for light that was not recovered.
+    noise : PixelNoise, optional
+        None for light that was not recovered, and if the camera's noise is not known.
     """
 
     size: tuple[int, int]
@@ -41,6 +43,7 @@ class OmnidirectionalPicture:
     file: object = ""
     origin: dict = field(default_factory=dict)
     basis_errors: np.ndarray | None = None
+    noise: PixelNoise | None = None
 
     def __iter__(self) -> Iterator[np.ndarray]:
         return iter(self.read())

@@ -1,6 +1,7 @@
 """Stage ``light``: compress an omnidirectional picture and compute its irradiance and gloss maps [eq. 8, 9]."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -21,7 +22,7 @@ from irodori.config.models import (
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.light.environment_file import QUANTITY, Environment, directions
+from irodori.light.environment_file import QUANTITY, Environment, PixelNoise, directions
 from irodori.light.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.light.known_lamps import known_prior, require_lamps_seen, told_by
@@ -83,6 +84,15 @@ def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
     return valid, filters
 
 
+def _pixel_noise(linear, recovery: LightRecovery, drawn: Directions) -> PixelNoise | None:
+    """Return the noise of a photograph in its light; None, with a warning, if the camera's noise is not known."""
+    with store.open_file(linear) as file:
+        if "exposure_noise" in file and np.isfinite(noise := file.read("exposure_noise")).all():
+            return recovery.noise(noise, file.read("exposure_limit"), drawn)
+    LOGGER.warning("%s: the camera's noise is not known, and no error of the light contains it", linear)
+    return None
+
+
 def _photographed(
     linear, calibration: Calibration, centre_azimuth_deg: float, recovery_of: Callable[[Directions], LightRecovery]
 ) -> OmnidirectionalPicture:
@@ -119,8 +129,9 @@ def _photographed(
             yield from_panorama(recovery.weights(part), centre_azimuth_deg)
 
     return OmnidirectionalPicture(
-        valid.shape, recovery.basis, read, linear, {"kind": "captures"}, basis_errors=recovery.errors
-    )
+        valid.shape, recovery.basis, read, linear, {"kind": "captures"},
+        basis_errors=recovery.errors, noise=_pixel_noise(linear, recovery, drawn),
+    )  # fmt: skip
 
 
 def _mirror_ball(
@@ -141,7 +152,8 @@ def _mirror_ball(
     # directions are drawn as of each part of a panorama, so that small lamps are among them.
     drawn = draw_directions((strip, 1.0) for strip in np.array_split(response[ball(*valid.shape)], _STRIPS))
     recovery = recovery_of(drawn)
-    return unwrapped(source, image, response, valid, recovery, linear)
+    picture = unwrapped(source, image, response, valid, recovery, linear)
+    return replace(picture, noise=_pixel_noise(linear, recovery, drawn))
 
 
 def prepare_environment(
@@ -332,8 +344,9 @@ def write_environment(
             "compression": compression.summary(),
             "irradiance": of_irradiance,
         }
+        errors_of_basis = picture.errors_on(compression.basis)
         light = Environment(
-            coefficients, compression.basis, irradiance, basis_errors=picture.errors_on(compression.basis)
+            coefficients, compression.basis, irradiance, basis_errors=errors_of_basis, noise=picture.noise
         )
         light.write_rest(out, errors, picture.origin)
     _log(compression)

@@ -21,7 +21,7 @@ from irodori.config.models import CapturesSource, IrradianceMap, MirrorBallSourc
 from irodori.core import store
 from irodori.core.custody import accept
 from irodori.core.errors import InputError
-from irodori.light.environment_file import Environment, directions
+from irodori.light.environment_file import Environment, PixelNoise, directions
 from irodori.light.irradiance import irradiance_at
 from irodori.light.omnidirectional import MeanLight, OmnidirectionalPicture, to_panorama
 from irodori.light.stage import SURFACES, fill_masked, observers, prepare_environment, write_environment
@@ -74,10 +74,11 @@ def test_upward_white_is_the_radiance_of_a_diffuser_that_faces_up(tmp_path):
     assert loaded.file == tmp_path / "e.h5" and environment.file is None
 
 
-@pytest.mark.parametrize("name", ["irradiance", "basis_errors"])
+@pytest.mark.parametrize("name", ["irradiance", "basis_errors", "noise/response", "noise/light"])
 def test_a_light_whose_parts_have_different_numbers_of_bases_is_refused(tmp_path, name):
     path, sky = tmp_path / "e.h5", np.ones((8, 16, 2), np.float32)
-    whole = Environment(sky, np.ones((61, 2)), irradiance_map(sky, 8, 4), basis_errors=np.ones((5, 61, 2)))
+    noise = PixelNoise(np.ones((1, 3, 2)), np.ones((1, 3)), np.ones((3, 61)), np.ones((3, 61)))
+    whole = Environment(sky, np.ones((61, 2)), irradiance_map(sky, 8, 4), basis_errors=np.ones((5, 61, 2)), noise=noise)
     whole.save(path, store.Provenance("test"))
     with h5py.File(path, "r+") as file:
         values = file[name][..., :1]
@@ -187,12 +188,15 @@ def test_compressed_light_keeps_the_colours_of_what_it_shines_on(names, weightin
 # --- the stage ---------------------------------------------------------------------------------------------------
 
 
-def write_inputs(folder, response, valid, calibration, clipped=None):
+def write_inputs(folder, response, valid, calibration, clipped=None, noise=None):
     with store.create(folder / "linear.h5", store.Provenance("test")) as out:
         out.write("response", response.astype(np.float32), units="1", dims="row,column,band", quantity="response")
         out.write("valid", valid, units="1", dims="row,column", quantity="valid")
         clipped = 1 - valid if clipped is None else clipped
         out.write("clipped", clipped, units="1", dims="row,column", quantity="clipped")
+        if noise is not None:
+            out.write("exposure_noise", noise[None], units="1", dims="exposure,band,term", quantity="noise")
+            out.write("exposure_limit", np.ones((1, len(noise))), units="1", dims="exposure,band", quantity="limit")
         out.attribute("filters", ["out"])
     with store.create(folder / "calibration.h5", store.Provenance("test")) as out:
         write_wavelength(out)
@@ -247,6 +251,30 @@ def test_stage_recovers_a_radiance_that_its_prior_holds(tmp_path):
     with store.open_file(tmp_path / "e.h5") as file:
         errors = file.attribute("errors")["irradiance"]
     assert errors["height"] == len(environment.irradiance) and errors["max_error"] <= 0.002
+
+
+def test_the_stage_states_the_noise_of_the_photograph_and_says_so_where_the_camera_has_none(tmp_path, caplog):
+    rng = np.random.default_rng(9)
+    calibration = Calibration(np.eye(61)[:, [10, 30, 50]], LinearMapping(np.eye(3)), np.full(61, 2.0), ("out",))
+    response = rng.uniform(0.2, 1.0, (32, 64, 3))
+    model = np.array([[1e-4, 4e-3], [4e-4, 0.0], [1e-6, 1e-3]])
+    noisy = response + np.sqrt(model[:, 0] + model[:, 1] * response) * rng.standard_normal(response.shape)
+    write_inputs(tmp_path, noisy, np.ones((32, 64), np.uint8), calibration, noise=model)
+    light = stage(tmp_path)
+    # Each wavelength is twice the response of its band.
+    true = 2.0 * to_panorama(response)
+    off = (light.coefficients @ light.basis.T)[..., [10, 30, 50]] - true
+    drawn = np.stack([light.noise.drawn(light.coefficients, light.basis, rng) @ light.basis.T for _ in range(200)])
+    stated = drawn[..., [10, 30, 50]].std(axis=0)
+    np.testing.assert_allclose(np.mean(stated**2, axis=(0, 1)), 4.0 * (model[:, 0] + 0.6 * model[:, 1]), rtol=0.1)
+    for limit, least, most in ((1.0, 0.62, 0.75), (2.0, 0.93, 1.0)):
+        assert least < np.mean(np.abs(off) <= limit * stated) < most
+    assert "noise" not in caplog.text
+    for unknown in (None, np.full((3, 2), np.nan)):
+        caplog.clear()
+        write_inputs(tmp_path, noisy, np.ones((32, 64), np.uint8), calibration, noise=unknown)
+        assert stage(tmp_path).noise is None
+        assert "linear.h5: the camera's noise is not known" in caplog.text
 
 
 def test_threads_do_not_change_a_bit_of_an_environment(tmp_path):

@@ -38,7 +38,7 @@ from irodori.evaluation.renderer_noise import (
 )
 from irodori.evaluation.result_tables import BudgetRow, read_rows
 from irodori.evaluation.truth_errors import radiance_delta_e
-from irodori.light.environment_file import Environment
+from irodori.light.environment_file import Environment, PixelNoise
 from irodori.material.material_file import Material
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.rendering.integrators import render_image
@@ -229,6 +229,16 @@ def test_each_fault_stands_in_its_own_row(rows):
 def test_what_is_not_known_has_a_reason_for_no_prediction(rows):
     assert np.isnan(rows[0]["light"].predicted) and "no camera" in rows[0]["light"].by
     assert rows[1]["light"].predicted > 0.0
+
+
+def test_the_noise_of_the_panorama_reaches_the_picture_as_large_as_predicted():
+    """The pixels of a small panorama are large: their noise does not cancel on what they light."""
+    exact = replace(light_of_three(), basis_errors=np.zeros((1, 61, 3)))
+    noise = PixelNoise(np.full((1, 3, 2), [1e-9, 0.5]), np.zeros((1, 3)), np.linalg.pinv(PAINTS), PAINTS.T)
+    for one in (exact, replace(exact, noise=noise)):
+        found = budget(measured(), one.drawn(np.random.default_rng(5)))["light"]
+        assert (found.mean > 0.1) == (one.noise is not None)
+        assert found.predicted == pytest.approx(found.mean, rel=0.4)
 
 
 def test_noise_and_gloss_reach_the_picture_as_large_as_predicted(rows):

@@ -41,6 +41,7 @@ from irodori.ingest.merge import ExposureBracket
 from irodori.ingest.mosaic import ALGORITHMS
 from irodori.ingest.near_lamp import evenly_lit
 from irodori.ingest.stage import ingest_raw
+from irodori.light.environment_file import merged_variance
 
 
 def test_responses_are_the_truth_within_their_noise(tmp_path):
@@ -579,6 +580,28 @@ def test_the_noise_model_follows_the_exposures_that_were_merged(tmp_path):
             # Differences of neighbours: the white's vignetting falls out.
             scatter = np.diff(response[middle][..., band], axis=1).std() / np.sqrt(2)
             assert scatter == pytest.approx(np.sqrt(noise[band, 0] + noise[band, 1] * level), rel=0.1), (number, band)
+
+
+def test_the_noise_of_each_exposure_tells_the_noise_of_bright_and_dark_parts_of_one_picture(tmp_path):
+    """The longer exposure is clipped in the bright half; through the filter there is one exposure alone."""
+    studio = Studio(tmp_path, seed=29)
+    studio.references(frames=4, darks=12)
+    truth = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.2)
+    truth[:, SIZE[1] // 4 :] = 4.0
+    for state, exposure_s in (("out", 0.001), ("out", 0.02), ("in", 0.005)):
+        studio.shoot("object", truth, state, exposure_s)
+    with store.open_file(studio.linear(Pose(ANGLE, 0.0).name)) as file:
+        response, valid = file.read("response").astype(float), file.read("valid")
+        noise, limit = file.read("exposure_noise"), file.read("exposure_limit")
+    assert noise.shape == (2, 6, 2) and valid[25:55, 40:80].all() and (limit[1, 3:] == 0.0).all()
+    scatter = []
+    for columns in (slice(30, 57), slice(63, 90)):
+        part = response[20:60, columns]
+        scatter.append(np.diff(part, axis=1).std(axis=(0, 1)) / np.sqrt(2))
+        predicted = np.sqrt(merged_variance(noise, limit, part.mean(axis=(0, 1))))
+        assert scatter[-1] == pytest.approx(predicted, rel=0.12)
+    # With all exposures in the bright half, its noise would be a quarter.
+    assert (scatter[1] > 3.0 * np.sqrt(merged_variance(noise, 9.0 + limit, np.full(6, 4.0))))[:3].all()
 
 
 def test_the_noise_model_weighs_the_exposures_that_give_half_of_a_bands_samples():

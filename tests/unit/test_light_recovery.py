@@ -15,7 +15,7 @@ from irodori.colour.colorimetry import colour_matching_weights
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.evaluation.truth_errors import radiance_delta_e
-from irodori.light.environment_file import Environment
+from irodori.light.environment_file import Environment, PixelNoise, directions, merged_variance, row_solid_angles
 from irodori.light.light_prior import (
     LightPrior,
     led_lamps,
@@ -460,3 +460,64 @@ def test_a_drawn_light_differs_by_its_errors_alone_and_given_light_has_none(tmp_
     assert np.std(ratios) == pytest.approx(np.sqrt(5.0), rel=0.1) and np.mean(ratios) == pytest.approx(0.0, abs=0.2)
     with pytest.raises(ValueError, match="without errors"):
         replace(light, basis_errors=None).drawn(np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("electrons", [3e4, 300.0, 10.0])
+def test_the_stated_noise_is_the_scatter_of_repeated_photographs(seen, prior, electrons):
+    """Of tristimulus values of walls under two lamps, whose brightness varies by a factor of ten."""
+    rng, matching = np.random.default_rng(8), colour_matching_weights().T
+    lamps = [spectrum(name) / spectrum(name).mean() for name in ("D65", "FL11")]
+    walls = np.concatenate([lamp * TCS[::12] for lamp in lamps])
+    response = (walls * np.geomspace(0.1, 1.0, len(walls))[:, None]) @ seen.sensitivity.T
+    shot = response.mean() / electrons
+    model = np.tile([4.0 * shot**2, shot], (6, 1))
+    room = Directions(response, response.sum(axis=1) / response.sum())
+    recovery = LightRecovery.of_room(seen.model, room, prior)
+    noise, own = recovery.noise(model[None], np.zeros((1, 6)), room), recovery.weights(response)
+    photographs = rng.poisson(response / shot, (400, *response.shape)) * shot
+    photographs = photographs + 2.0 * shot * rng.standard_normal(photographs.shape)
+    off = (recovery.weights(photographs) - own) @ recovery.basis.T @ matching
+    drawn = noise.drawn(np.broadcast_to(own, (400, *own.shape)), recovery.basis, rng) @ recovery.basis.T @ matching
+    stated = np.sqrt(np.square(drawn).mean(axis=0))
+    assert stated == pytest.approx(np.sqrt(np.square(off).mean(axis=0)), rel=0.3)
+    one, two = (np.mean(np.abs(off) <= n * stated) for n in (1, 2))
+    assert 0.62 < one < 0.75 and two > 0.93
+
+
+def test_inverse_variances_of_the_exposures_that_count_are_summed():
+    """A brighter response is seen by fewer exposures; one below zero has the noise of the dark."""
+    model = np.array([[[9.0, 2.0], [8.0, 4.0]], [[3.0, 1.0], [2.0, 2.0]], [[1.0, 0.5], [0.5, 1.0]]])
+    limit = np.array([[0.1, 0.1], [20.0, 30.0], [5.0, 6.0]])
+    for response, count in ((-1.0, 3), (2.0, 3), (10.0, 2), (40.0, 1)):
+        expected = [
+            1.0 / sum(1.0 / (c0 + c1 * max(response, 0.0)) for c0, c1 in model[:count, band]) for band in (0, 1)
+        ]
+        found = merged_variance(model, limit, np.full((3, 2), response, np.float32))
+        assert found.dtype == np.float32 and found == pytest.approx(np.tile(expected, (3, 1)), rel=1e-5)
+
+
+def test_noise_of_a_drawn_light_differs_from_pixel_to_pixel_and_mostly_cancels_in_its_irradiance(tmp_path):
+    basis, rng = np.linalg.qr(np.random.default_rng(3).uniform(0.1, 1.0, (61, 2)))[0], np.random.default_rng(4)
+    sky = np.ones((16, 32, 2), np.float32)
+    sky[:, 16:] *= 5.0
+    # Two bands that show one coefficient each. Darker than nothing is no less noisy than dark.
+    model = np.array([[[0.01, 0.1], [0.04, 0.1]]])
+    noise = PixelNoise(model, np.zeros((1, 2)), basis.T, np.array([[2.0], [1.0]]) * basis.T)
+    flat = np.ones((8, 16, 2), np.float32)
+    light = Environment(sky, basis, flat, basis_errors=np.zeros((1, 61, 2)), noise=noise)
+    light.save(tmp_path / "e.h5", store.Provenance("test"), gloss=None)
+    stored = Environment.load(tmp_path / "e.h5")
+    draws = [stored.drawn(rng) for _ in range(400)]
+    off = np.stack([one.coefficients for one in draws]) - sky
+    variance = np.array([4.0, 1.0]) * (model[0, :, 0] + 0.1 * sky)
+    assert (off.var(axis=0) / variance).mean() == pytest.approx(1.0, rel=0.02)
+    assert off[..., 16:, :].var(axis=(0, 1, 2)) == pytest.approx(variance[0, 16], rel=0.03)
+    beside = np.mean(off[:, :, 1:] * off[:, :, :-1] / np.sqrt(variance[:, 1:] * variance[:, :-1]))
+    assert beside == pytest.approx(0.0, abs=0.01)
+    cosine = np.maximum(directions(32, 16)[0] @ directions(16, 8)[0][3, 5], 0.0)
+    expected = (np.square(cosine * row_solid_angles(32, 16)[:, None])[..., None] * variance).sum(axis=(0, 1))
+    of_irradiance = np.stack([one.irradiance[3, 5] for one in draws]) - flat[3, 5]
+    assert of_irradiance.var(axis=0) == pytest.approx(expected, rel=0.2)
+    assert all((one.basis == basis).all() and one.file is None for one in draws)
+    black = noise.drawn(np.full((20000, 2), -9.0, np.float32), basis, rng)
+    assert black.var(axis=0) == pytest.approx([0.04, 0.04], rel=0.05)

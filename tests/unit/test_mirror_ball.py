@@ -211,6 +211,26 @@ def test_a_small_lamp_on_a_ball_is_among_the_directions_that_tell_what_lamps_the
     assert of_lamp.sum() > 5 and drawn[0].share[of_lamp].sum() == pytest.approx(0.01, rel=0.5)
 
 
+def test_noise_of_a_photographed_ball_counts_by_what_the_ball_takes_of_the_light(tmp_path):
+    response, found = photograph(smooth, BALL).astype(np.float32), []
+    calibration = Calibration(np.eye(61)[:, [10, 30, 50]], LinearMapping(np.eye(3)), np.full(61, 2.0), ("out",))
+    model = np.tile([1e-4, 1e-3], (3, 1))
+    for share in (1.0, 0.5):
+        write_inputs(tmp_path, share * response, np.ones(response.shape[:2], np.uint8), calibration, noise=model)
+        source = made(CapturesSource | MirrorBallSource, BALL | {"reflectance_factor": share})
+        prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "e.h5", *OPTIONS,
+                            source=source, image=made(Size, {"width": 64, "height": 32}),
+                            prior=prior_of(calibration))  # fmt: skip
+        light = Environment.load(tmp_path / "e.h5")
+        rng = np.random.default_rng(6)
+        noise = np.stack([light.noise.drawn(light.coefficients, light.basis, rng) for _ in range(50)])
+        found.append((noise @ light.basis.T)[..., [10, 30, 50]].var(axis=0))
+        seen = share * 0.5 * (light.coefficients @ light.basis.T)[..., [10, 30, 50]]
+        expected = np.square(2.0 / share) * (1e-4 + 1e-3 * seen)
+        assert (found[-1] / expected).mean(axis=(0, 1)) == pytest.approx(np.ones(3), rel=0.03)
+    assert found[1].mean() > 2.0 * found[0].mean()
+
+
 def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
     response = photograph(smooth, BALL).astype(np.float32)
     calibration = Calibration(np.eye(61)[:, [10, 30, 50]], LinearMapping(np.eye(3)), np.full(61, 2.0), ("out",))

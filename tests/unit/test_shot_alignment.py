@@ -118,7 +118,7 @@ def test_pictures_of_either_sampling_are_aligned_in_superpixels_and_moved(small,
         clipped, hot = nothing.copy(), nothing.copy()
         clipped[40:44, 50:54] = hot[70:72, 30:33] = True
         response[clipped | hot] = 0.0
-        states.append(Developed(response, clipped, hot, np.zeros((3, 2)), "RGGB"))
+        states.append(Developed(response, clipped, hot, np.zeros((3, 2)), np.zeros((1, 3, 3)), "RGGB"))
     options = IngestOptions() if sample_px == 2 else IngestOptions(demosaic="linear")
     # The colours of these pictures lie on one place: what a mosaic has apart, a quarter of a superpixel, is no error.
     found = align_states(*states, start, options, "captures.csv", "a")
@@ -143,7 +143,9 @@ def test_what_another_band_shows_behind_the_filter_tells_where_it_is_by_its_plac
         response[..., band] = paint(x + offset, y + offset)[..., 0]
         response += rng.normal(0.0, 0.002, response.shape)
         nothing = np.zeros(x.shape, bool)
-        states.append(Developed(response.astype(np.float32), nothing, nothing, np.zeros((3, 2)), "RGGB"))
+        states.append(
+            Developed(response.astype(np.float32), nothing, nothing, np.zeros((3, 2)), np.zeros((1, 3, 3)), "RGGB")
+        )
     found = align_states(*states, None, IngestOptions(), "captures.csv", "a")
     assert found.source == "capture" and apart_px(found.transform) < 0.1
 
