@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.imperfections [--faults light_drift ...] [--output imperfections.csv]``, at the top of the
 repository. Snakemake makes the plate's material on a rig without faults, with each fault alone, with all, and with all
-on a plate whose gloss follows GGX in place of equation (5), some 35 s each. Errors are those away from seams.
+on a plate whose gloss follows GGX in place of equation (5). Errors are those away from seams.
 """
 
 import argparse
