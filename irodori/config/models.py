@@ -233,29 +233,11 @@ class Render(Definition):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
-class Planning(Definition):
-    """Fit error against the number of poses, simulated for every plate, one of the experiments."""
-
-    #: Numbers of poses to compare (count).
-    poses: tuple[int, ...] = (4, 6, 8, 12, 16, 24)
-
-    #: Random materials photographed with each design (count).
-    materials: int = 2000
-
-
-@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ReportOptions(Definition):
     """What the reports compare."""
 
     #: Lights under which colour errors are computed.
     lights: tuple[str, ...] = ("D65", "A")
-
-    #: Whether reports also show experiments, planned poses beside as many others for every plate, and what each
-    #: imperfection of the virtual rig costs (true or false).
-    experiments: bool = False
-
-    #: Fit error against the number of poses, simulated for every plate, one of the experiments.
-    planning: Planning = Planning()
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

@@ -12,7 +12,6 @@ from irodori.config.definition import Definition, typed
 from irodori.config.models import (
     Body,
     CalibrationOptions,
-    Camera,
     Chart,
     DisplayOptions,
     EnvironmentSource,
@@ -32,7 +31,6 @@ from irodori.config.models import (
     Rig,
     RigPose,
     SceneLight,
-    SensorOptions,
     Sheet,
     Size,
     VirtualObject,
@@ -83,30 +81,6 @@ class PlannedObject(Definition):
     plan: PosePlan
     lobes: tuple[str, ...] = Object.lobes
     placements: tuple[FurtherPlacement, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
-class PlannedPlate(Definition):
-    """Plate with its rig and its camera's sensor (None for a real camera), for the simulation of poses.
-
-    Exposure times are those without the filter, in seconds; ``shots_per_pose`` counts both filter states.
-    """
-
-    definition: PlannedObject
-    rig: Rig
-    sensor: SensorOptions | None = None
-    exposures_s: tuple[float, ...] = ()
-    shots_per_pose: int = 1
-
-
-@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
-class ImperfectObject(Definition):
-    """Virtual object with its camera and its rig, on which the effects of the rig's imperfections are measured."""
-
-    name: str
-    definition: Object
-    camera: Camera
-    rig: Rig
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

@@ -14,7 +14,7 @@ from irodori.config.capture_table import LENS, noted_hashes, placement_of, read_
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
 from irodori.config.models import CapturesSource, Object
-from irodori.config.parts import ImperfectObject, PhotographedObject, PlannedObject, PlannedPlate, RigGeometry
+from irodori.config.parts import PhotographedObject, RigGeometry
 from irodori.geometry.mesh_sources import shape_files
 from irodori.rectification.texture_tiles import tile_rows
 from irodori.spectra.spectral_files import SUFFIXES
@@ -526,39 +526,3 @@ class PhotographSets:
         source = place.source
         picture = [] if self.is_photographed(wildcards) or not hasattr(source, "file") else [source.file]
         return [*picture, *named_tables(source, place.room_charts, place.lamps)]
-
-    # ---- measurements of the rig and of poses
-
-    def _imperfect_object(self, wildcards) -> ImperfectObject:
-        name = wildcards.object
-        definition = self.loaded.objects[name]
-        camera = self.loaded.cameras[definition.camera]
-        return ImperfectObject(name=name, definition=definition, camera=camera, rig=self.loaded.rigs[camera.rig])
-
-    def imperfect_object(self, wildcards) -> dict:
-        """Return a plain `ImperfectObject`, for the measurement of the virtual rig's imperfections."""
-        return self._imperfect_object(wildcards).plain()
-
-    def files_of_imperfections(self, wildcards) -> list[str]:
-        """Return the mesh and the spectral tables that the measurement of the rig's imperfections reads."""
-        return [*self.mesh(wildcards), *named_tables(self._imperfect_object(wildcards))]
-
-    def _planned(self, wildcards) -> PlannedPlate:
-        definition = self.loaded.objects[wildcards.object]
-        camera = self.loaded.cameras[definition.camera]
-        exposures = definition.exposure_s.given() if definition.exposure_s else {"out": ()}
-        return PlannedPlate(
-            definition=_part(PlannedObject, definition),
-            rig=self.loaded.rigs[camera.rig],
-            sensor=camera.virtual.sensor if camera.virtual else None,
-            exposures_s=exposures["out"],
-            shots_per_pose=max(sum(map(len, exposures.values())), 1),
-        )
-
-    def planned(self, wildcards) -> dict:
-        """Return a plain `PlannedPlate` of a flat object, for the simulation of poses."""
-        return self._planned(wildcards).plain()
-
-    def tables_of_plan(self, wildcards) -> list[str]:
-        """Return, as a list, the table of the refractive index that the simulation of poses reads."""
-        return named_tables(self._planned(wildcards).definition)

@@ -16,7 +16,6 @@ from irodori.config.models import Scene
 from irodori.config.pages import page_fault, page_rooms
 from irodori.config.placed_names import materials_of
 from irodori.config.scene_files import SceneFiles
-from irodori.geometry.shape_blocks import is_flat
 
 __all__ = ["Reports"]
 
@@ -57,10 +56,6 @@ class Reports:
         names = dict.fromkeys(materials_of(self._scene(wildcards))) if _has_scene(wildcards) else ()
         return [name for name in names if not virtual_only or self._loaded.is_virtual("objects", name)]
 
-    def _tried(self, wildcards, virtual_only: bool = False) -> list[str]:
-        """Return the objects of a report that shows experiments, and none for another report."""
-        return self._objects(wildcards, virtual_only) if self._loaded.config.report.experiments else []
-
     def _environments(self, wildcards, virtual_only: bool = False) -> list[str]:
         names = page_rooms(self._scene(wildcards)) if _has_scene(wildcards) else ()
         return [name for name in names if not virtual_only or self._loaded.is_virtual("environments", name)]
@@ -76,9 +71,6 @@ class Reports:
 
     def _scene(self, wildcards) -> Scene:
         return self._loaded.scenes[wildcards.scene]
-
-    def _is_flat(self, name: str) -> bool:
-        return is_flat(self._loaded.objects[name].shape.kind)
 
     def title(self, wildcards) -> str:
         """Return the name of the scene or the camera."""
@@ -134,28 +126,6 @@ class Reports:
         def found(wildcards) -> list[str]:
             photographs = self._scene(wildcards).photographs if _has_scene(wildcards) else ()
             return [pattern.format(scene=wildcards.scene, photograph=photograph) for photograph in photographs]
-
-        return found
-
-    def plates(self, pattern: str) -> _OfReport:
-        """Return a function that fills a pattern with every flat object of a report that shows experiments."""
-
-        def found(wildcards) -> list[str]:
-            return [pattern.format(object=name) for name in self._tried(wildcards) if self._is_flat(name)]
-
-        return found
-
-    def imperfect(self, pattern: str) -> _OfReport:
-        """Return a function that fills a pattern with the object for measuring the virtual rig's imperfections.
-
-        It is the first flat virtual object, or else the first virtual object of any shape; there may be none, and there
-        is none without experiments.
-        """
-
-        def found(wildcards) -> list[str]:
-            known = self._tried(wildcards, virtual_only=True)
-            chosen = sorted(known, key=lambda name: not self._is_flat(name))[:1]
-            return [pattern.format(object=name) for name in chosen]
 
         return found
 

@@ -31,26 +31,6 @@ class BudgetRow:
 
 
 @dataclass(frozen=True)
-class CostRow:
-    """One line of ``imperfections.csv``: the errors of an object's reflectance with one set of faults.
-
-    ``beta`` and ``mu`` are median relative errors of these parameters of the first gloss component, over the texels for
-    which the fit states them; NaN if the truth has no such parameter. ``known`` is the share of observed texels for
-    which the fit states ``mu``. Texels at seams are left out of all figures.
-    """
-
-    faults: str
-    light: str
-    count: int
-    mean: float
-    p95: float
-    max: float
-    beta: float
-    mu: float
-    known: float
-
-
-@dataclass(frozen=True)
 class ErrorRow:
     """One line of ``errors.csv``: statistics of one kind of error of an object, environment, camera or view."""
 
@@ -62,37 +42,6 @@ class ErrorRow:
     p95: float
     p99: float
     max: float
-
-
-@dataclass(frozen=True)
-class PlanRow:
-    """One line of ``planning.csv``: the error of one fitted parameter when the poses follow one design.
-
-    Parameters
-    ----------
-    object : str
-    poses : int
-    design : str
-        Choice of poses: ``planned``; ``even-grid``, with as many light angles as a plan may have; ``even-one-light``,
-        an even grid with one light angle; ``random``, pooled over several draws.
-    parameter : str
-        ``alpha`` (absolute errors), ``beta`` or ``mu`` (relative errors).
-    median, p95 : float
-        Median and 95th percentile of the size of the error, over the fits that state the parameter.
-    identified_fraction : float
-        Share of the fits that state the parameter.
-    expected_standard_error : float
-        Standard error expected from the linearised model (the Fisher information), the median over the draws.
-    """
-
-    object: str
-    poses: int
-    design: str
-    parameter: str
-    median: float
-    p95: float
-    identified_fraction: float
-    expected_standard_error: float
 
 
 @dataclass(frozen=True)

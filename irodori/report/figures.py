@@ -145,36 +145,6 @@ def spectra_figure(material: Material, truth: Material) -> str:
     return _finish(figure)
 
 
-def planning_figure(rows) -> str:
-    """Return a figure of each parameter's error against the number of poses, one line for each design of poses.
-
-    Parameters
-    ----------
-    rows : list of irodori.evaluation.result_tables.PlanRow
-        Rows of one object. Solid lines are medians, dashed ones 95th percentiles.
-    """
-    labels = {"alpha": "|Δα|", "beta": "|Δβ| / β", "mu": "|Δμ| / μ"}
-    figure, axes = _subplots(1, 4, (13, 3.6), _OF_PLOTS)
-    designs = list(dict.fromkeys(row.design for row in rows))
-    for number, design in enumerate(designs):
-        colour = f"C{number}"
-        for ax, parameter in zip(axes, labels, strict=False):
-            own = [row for row in rows if row.design == design and row.parameter == parameter]
-            count = [row.poses for row in own]
-            ax.plot(count, [row.median for row in own], "o-", ms=3, color=colour, label=design)
-            ax.plot(count, [row.p95 for row in own], "--", lw=1, color=colour)
-        # β and μ are identified together: `own` and `count` are those of μ, the last parameter.
-        axes[3].plot(count, [row.identified_fraction for row in own], "o-", ms=3, color=colour, label=design)
-    for ax, label in zip(axes, labels.values(), strict=False):
-        ax.set_yscale("log")
-        ax.set_title(f"{label}: median (solid), 95th percentile (dashed)", fontsize=8)
-    axes[3].set_title("fits that state β and μ", fontsize=8)
-    axes[3].legend(fontsize=7)
-    for ax in axes:
-        ax.set_xlabel("poses")
-    return _finish(figure)
-
-
 def selection_figure(header: list[str], rows: list[list[str]]) -> str:
     """Return a figure of the estimators' errors against computing time per pixel; a ring marks the one in use.
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from irodori.core import store
 from irodori.evaluation.registration_errors import summarise
-from irodori.evaluation.result_tables import BudgetRow, CostRow, ErrorRow, PlanRow, RegistrationRow, read_rows
+from irodori.evaluation.result_tables import BudgetRow, ErrorRow, RegistrationRow, read_rows
 from irodori.lens.lens_file import LensFile
 from irodori.material.angle_errors import AngleErrors
 from irodori.material.material_file import Material
 from irodori.reflection.registry import lobe
 from irodori.report.calibration_part import camera_calibrations
-from irodori.report.figures import material_figure, planning_figure, spectra_figure
+from irodori.report.figures import material_figure, spectra_figure
 from irodori.report.html_page import data_uri, write_page
 from irodori.report.sittings import sittings
 from irodori.spectra.grid import SAMPLES
@@ -140,11 +140,6 @@ def _rules(folder, jobs: list[str]) -> list[tuple[str, int, float, float]]:
     return [(rule, *total) for rule, total in sorted(totals.items(), key=lambda item: -item[1][1])]
 
 
-def _plans(rows: list[PlanRow]) -> dict[str, dict]:
-    by_object = {name: [row for row in rows if row.object == name] for name in dict.fromkeys(r.object for r in rows)}
-    return {name: {"rows": own, "figure": planning_figure(own)} for name, own in by_object.items()}
-
-
 def registrations(objects: list[str], tables: list) -> dict:
     """Return the data of ``registration.html.j2``: the summary of each object's table of registrations."""
     return {name: summarise(read_rows(path, RegistrationRow)) for name, path in zip(objects, tables, strict=True)}
@@ -161,10 +156,10 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     Parameters
     ----------
     inputs : dict
-        Files by kind. One file: errors; lists: plans, imperfections, budgets, lenses, references, registrations,
-        placements, materials, true_materials, environments, sessions, calibrations, calibration_errors, selections,
-        pictures, figures, true_pictures, comparisons, comparison_figures; and pages, the classroom page in the folder
-        of the report, if there is one.
+        Files by kind. One file: errors; lists: budgets, lenses, references, registrations, placements, materials,
+        true_materials, environments, sessions, calibrations, calibration_errors, selections, pictures, figures,
+        true_pictures, comparisons, comparison_figures; and pages, the classroom page in the folder of the report, if
+        there is one.
     names : dict
         Names in the order of the files: objects, virtual_objects, environments, cameras, lens_cameras, views,
         virtual_views, photographs; title, of the report; and jobs, the beginnings of the names of the jobs whose time
@@ -188,8 +183,6 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         },
         objects=objects(names["objects"], inputs["materials"], truths, inputs["placements"]),
         environments=environments(names["environments"], inputs["environments"]),
-        imperfections=[row for path in inputs["imperfections"] for row in read_rows(path, CostRow)],
-        plans=_plans([row for path in inputs["plans"] for row in read_rows(path, PlanRow)]),
         sittings=sittings(inputs["sessions"]),
         registrations=registrations(names["objects"], inputs["registrations"]),
         lenses={

@@ -26,7 +26,20 @@ POSES = [{"light_deg": [45.0], "camera_deg": [0.0, 15.0, 30.0]}]
 
 
 class Accident(VirtualCamera):
-    """A virtual camera to which mishaps happen: at a photograph so many times in a row."""
+    """A virtual camera to which mishaps happen: at a photograph so many times in a row.
+
+    It remembers the pictures of an object before the optics in `seen`, which cameras of one plate may share.
+    """
+
+    seen: dict | None = None
+
+    def _object(self, pose, plate, weights):
+        if self.seen is None:
+            return super()._object(pose, plate, weights)
+        key = pose, plate.tobytes(), weights.tobytes()
+        if key not in self.seen:
+            self.seen[key] = super()._object(pose, plate, weights)
+        return self.seen[key]
 
     def happen(self, file: str, mishap: Mishap, times: int = 1) -> None:
         self._file, self._then, self._left, self.tried = file, mishap, times, getattr(self, "tried", [])
@@ -66,7 +79,8 @@ def plate(bench: Bench, poses=POSES, seen=None):
     definition, camera, rig = definitions(poses=poses)
     subject, camera, rig = made(Object, definition), made(Camera, camera), made(Rig, rig)
     planned = object_shots(subject, camera, ".dng")
-    eye = Accident(camera, rig, bench, "plate", planned, subject, seen=seen)
+    eye = Accident(camera, rig, bench, "plate", planned, subject)
+    eye.seen = seen
     eye.happen("", Mishap())
     return planned, eye
 

@@ -101,7 +101,7 @@ def standing(shot: Shot) -> Bench:
     return Bench(by_hand_deg=angles, filter=shot.filter, subject=shot.role)
 
 
-def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path, subject=None, *, seen=None) -> None:
+def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path, subject=None) -> None:
     """Take all photographs of a session into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     virtual = VirtualCamera(
@@ -111,7 +111,6 @@ def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path
         session,
         shots,
         made(Object | PhotographedObject | EnvironmentDefinition | SceneRadiance, subject),
-        seen=seen,
     )
     for shot in shots:
         virtual.bench = standing(shot)
@@ -187,29 +186,6 @@ def test_shadow_rays_are_left_out_only_where_nothing_can_shade(definitions, perf
 
 
 @pytest.mark.heavy
-def test_cameras_that_share_what_they_see_take_the_same_pictures(definitions, tmp_path):
-    camera, faulty = coarse(definitions["cameras"]["d5100-comb"]), definitions["rigs"]["virtual"]
-    subject = uniform(definitions, "tile-plate")
-    still = copy.deepcopy(faulty)
-    for name in ("pose_error", "filter_plate"):
-        still["virtual"]["imperfections"][name]["enabled"] = False
-    shots = object_shots(
-        made(Object | PhotographedObject, subject | {"poses": [{"light_deg": [45.0], "camera_deg": [20.0]}]}),
-        made(Camera, camera),
-        ".dng",
-    )
-    shots = list({shot.filter: shot for shot in shots}.values())
-    seen: dict = {}
-    for number, rig in enumerate((still, faulty, still)):
-        shared, alone = (tmp_path / f"{kind}-{number}" for kind in ("shared", "alone"))
-        shoot(camera, rig, "plate", shots, shared, subject, seen=seen)
-        shoot(camera, rig, "plate", shots, alone, subject)
-        for shot in shots:
-            assert (shared / shot.file).read_bytes() == (alone / shot.file).read_bytes()
-    # One pose in two filter states, seen straight and with faults; the third camera found both of its own.
-    assert len(seen) == 4
-
-
 def test_the_lamps_mirror_image_saturates_where_the_sphere_reflects_it(definitions, perfect):
     camera, rig = perfect
     with_mirror, _, _ = photograph(uniform(definitions, "leaf-sphere", mirror=1.0), camera, rig, Pose(45.0, 25.0))

@@ -140,7 +140,8 @@ def test_opencv_that_does_not_start_stops_nothing_but_the_finding():
     """A bare machine has no libGL: every stage must run there, and finding must say what is missing."""
     program = (
         "import sys; sys.modules['cv2'] = None; sys.modules['colour_checker_detection'] = None\n"
-        "import irodori.calibration, irodori.evaluation.imperfection_costs, irodori.report.page\n"
+        "import irodori.ingest.stage, irodori.calibration.stage, irodori.rectification.stage, irodori.fitting.stage\n"
+        "import irodori.material.stage, irodori.capture.stage, irodori.report.page\n"
         "from irodori.calibration.detection import _library\n"
         "from irodori.core.errors import PlainError\n"
         "try: _library()\n"

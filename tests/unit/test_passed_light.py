@@ -1,21 +1,17 @@
 """Transmittance of a thin sheet: photographed on the virtual rig with the lamp behind it, or assumed."""
 
 import logging
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from definitions import ROOT
+from small_chain import run_chain, small_camera, small_rig
 
 from irodori.config.definitions import read_yaml
-from irodori.config.models import Camera, Object, Placing, Rectify, Rig
+from irodori.config.models import Object
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.evaluation.imperfection_costs import Settings, SmallChain, run_chain
-from irodori.fitting.solvers import FitOptions
-from irodori.ingest.ingest_options import IngestOptions
 from irodori.material.passed_light import PassedLight
-from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.simulation.virtual_rig.ground_truth import true_material
 
 #: A leaf of two shades: what is reflected, and what comes through.
@@ -24,28 +20,26 @@ FRONT = {"light_deg": [45.0], "camera_deg": [0.0, 20.0, 41.0, 49.0, 65.0]}
 BEHIND = {"light_deg": [115.0, 125.0], "camera_deg": [20.0]}
 
 
-def chain_of(sheet: dict, poses=(FRONT, BEHIND)) -> SmallChain:
-    """A quarter of the camera's sides, 12 x 12 texels, the rig's faults but for the place, and no table in the way."""
-    plate, camera, rig = (read_yaml(ROOT / "config" / f"{name}.yaml") for name in
-                          ("objects/tile-plate", "cameras/d5100-comb", "rigs/virtual"))  # fmt: skip
+def leaf(sheet: dict, poses=(FRONT, BEHIND)) -> Object:
+    """Return the default plate as a leaf of 12 x 12 texels."""
     paints = [{"spectrum": s, "beta": 2.0, "mu_rad": 0.15, "transmittance": t} for s, t in SHADES]
-    plate |= {"mirror_weight": 0.0, "texels": {"width": 12, "height": 12}, "poses": list(poses),
-              "virtual": {"pattern": {"kind": "checks", "columns": 2, "rows": 1}, "materials": paints}}  # fmt: skip
-    settings = Settings(IngestOptions(), Placing(), Rectify.of({}), FitOptions(), CompressOptions(), ["D65"])
-    small = SmallChain("leaf", Object.of(plate), Camera.of(camera), Rig.of(rig | {"table_radius_mm": 0.0}), settings)
-    halved = small.halved().halved()
-    faults = replace(halved.faults, laid_off=replace(halved.faults.laid_off, enabled=False),
-                     focal_length=replace(halved.faults.focal_length, enabled=False))  # fmt: skip
-    virtual = replace(halved.rig.virtual, imperfections=faults)
-    definition = replace(small.definition, sheet=Object.of(plate | {"sheet": sheet}).sheet)
-    return replace(halved, definition=definition, rig=replace(halved.rig, virtual=virtual))
+    return Object.of(
+        read_yaml(ROOT / "config/objects/tile-plate.yaml")
+        | {"mirror_weight": 0.0, "texels": {"width": 12, "height": 12}, "poses": list(poses), "sheet": sheet,
+           "virtual": {"pattern": {"kind": "checks", "columns": 2, "rows": 1}, "materials": paints}}
+    )  # fmt: skip
 
 
-def test_what_passes_through_a_leaf_is_measured_with_the_lamp_behind_it(tmp_path):
+@pytest.fixture(scope="module")
+def setting():
+    """Return camera and rig, with the rig's faults but for the place, and no table in the way."""
+    return small_camera(), small_rig(without=("laid_off", "focal_length"), table_radius_mm=0.0)
+
+
+def test_what_passes_through_a_leaf_is_measured_with_the_lamp_behind_it(setting, tmp_path):
     """Spectra, errors, and the front, which the photographs from behind do not change."""
-    small = chain_of({})
-    found = run_chain(small, tmp_path)
-    truth = true_material(small.definition, small.camera, small.rig)
+    definition = leaf({})
+    found, truth = run_chain(definition, *setting, tmp_path), true_material(definition, *setting)
     assert found.transmittance == "measured" and found.is_sheet
     inner = np.zeros((12, 12), dtype=bool)
     inner[2:10, [2, 3, 8, 9]] = True  # away from seam and edges
@@ -64,9 +58,9 @@ def test_what_passes_through_a_leaf_is_measured_with_the_lamp_behind_it(tmp_path
     assert (albedo > (reflected + own).max(axis=1) - 0.01)[known].all()  # of both sides together
 
 
-def test_a_sheet_that_no_lamp_lights_from_behind_is_refused_or_assumed(tmp_path, caplog):
+def test_a_sheet_that_no_lamp_lights_from_behind_is_refused_or_assumed(setting, tmp_path, caplog):
     with caplog.at_level(logging.INFO, "irodori"):
-        found = run_chain(chain_of({"transmittance": 0.3}, [FRONT]), tmp_path)
+        found = run_chain(leaf({"transmittance": 0.3}, [FRONT]), *setting, tmp_path)
     assert "assumed" in caplog.text and found.transmittance == "assumed" and found.is_sheet
     np.testing.assert_allclose(found.through.spectra(), 0.3, rtol=1e-6)
     with pytest.raises(InputError, match="passed: found no texel that shows light from behind; accepted: a photograph"):

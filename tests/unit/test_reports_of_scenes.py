@@ -1,7 +1,6 @@
 """Reports of a configuration: one for each scene and camera, which covers its own scene and nothing of another."""
 
 import json
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -17,13 +16,6 @@ def reports(loaded) -> Reports:
     return Reports(SceneFiles(PhotographSets(loaded)))
 
 
-def with_experiments(**make) -> Reports:
-    """Return the reports of a configuration whose reports show experiments."""
-    loaded = load(ROOT, **make)
-    shown = replace(loaded.config.report, experiments=True)
-    return reports(replace(loaded, config=replace(loaded.config, report=shown)))
-
-
 def of_scene(name) -> SimpleNamespace:
     return SimpleNamespace(scene=name)
 
@@ -31,16 +23,9 @@ def of_scene(name) -> SimpleNamespace:
 CAMERA = SimpleNamespace(camera="d5100-comb")
 
 
-def test_a_report_shows_experiments_only_if_they_are_asked_for():
-    lid = of_scene("lid")
-    for found, names in ((reports(load(ROOT, scenes=["lid"])), []), (with_experiments(scenes=["lid"]), ["tile-plate"])):
-        assert found.plates("{object}")(lid) == found.imperfect("{object}")(lid) == names
-        assert len(found.objects("{object}")(lid)) == 2
-
-
 @pytest.fixture(scope="module")
 def three():
-    return with_experiments(scenes=["still-life", "lid", "turntable"], cameras=["d5100-comb"])
+    return reports(load(ROOT, scenes=["still-life", "lid", "turntable"], cameras=["d5100-comb"]))
 
 
 def test_every_scene_and_every_camera_asked_for_has_a_folder_of_its_own(three):
@@ -56,14 +41,13 @@ def test_every_scene_and_every_camera_asked_for_has_a_folder_of_its_own(three):
 
 @pytest.mark.parametrize("scene", ["still-life", "lid", "turntable"])
 def test_a_report_is_the_same_whichever_scenes_are_made_beside_it(three, scene):
-    alone, asked = with_experiments(scenes=[scene], cameras=[]), of_scene(scene)
+    alone, asked = reports(load(ROOT, scenes=[scene], cameras=[])), of_scene(scene)
     for name in ("errors", "title", "light", "light_name", "scene", "shapes", "sessions", "pages", "jobs"):
         answer = getattr(three, name)(asked)
         assert answer == getattr(alone, name)(asked), name
         assert json.loads(json.dumps(answer)) == answer
     for name, pattern in (("objects", "{object}"), ("environments", "{environment}"), ("cameras", "{camera}"),
-                          ("views", "{scene}/{view}"), ("photographs", "{scene}/{photograph}"),
-                          ("plates", "{object}"), ("imperfect", "{object}")):  # fmt: skip
+                          ("views", "{scene}/{view}"), ("photographs", "{scene}/{photograph}")):  # fmt: skip
         assert getattr(three, name)(pattern)(asked) == getattr(alone, name)(pattern)(asked), name
 
 
@@ -74,10 +58,6 @@ def test_a_report_covers_the_objects_views_and_light_of_its_scene(three):
     assert three.environments("{environment}", virtual_only=True)(lid) == ["classroom"]
     assert three.cameras("{camera}")(lid) == ["d5100-comb"]
     assert three.views("{scene}/{view}")(of_scene("turntable")) == ["turntable/front", "turntable/level"]
-    assert three.plates("{object}")(lid) == three.imperfect("{object}")(lid) == ["tile-plate"]
-    # Without a flat object the faults of the rig are shown on another.
-    turntable = of_scene("turntable")
-    assert three.plates("{object}")(turntable) == [] and three.imperfect("{object}")(turntable) == ["vermilion-sphere"]
     assert "results/vermilion-sphere/captures/session.json" not in three.sessions(lid)
 
 
@@ -91,7 +71,7 @@ def test_the_report_of_a_camera_covers_the_camera_alone(three):
     assert three.cameras("{camera}")(CAMERA) == ["d5100-comb"]
     assert three.errors(CAMERA) == "results/cameras/d5100-comb/errors.csv"
     assert three.sessions(CAMERA) == ["results/cameras/d5100-comb/captures/session.json"]
-    for found in (three.objects, three.environments, three.views, three.photographs, three.plates, three.imperfect):
+    for found in (three.objects, three.environments, three.views, three.photographs):
         assert found("{scene}")(CAMERA) == []
     assert three.pages(CAMERA) == three.light(CAMERA) == []
 

@@ -71,8 +71,6 @@ def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
         "rig": sets.rig(plate),
         "optics": sets.optics(plate),
         "photographed": sets.photographed(plate),
-        "planned": sets.planned(plate),
-        "subject": sets.imperfect_object(plate),
         "shapes": scenes.shapes(job(scene="still-life")),
         "part": scenes.part("objects", "display")(job(scene="still-life")),
     }
@@ -85,8 +83,6 @@ def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
     plate_file = definitions.objects["tile-plate"].plain()
     assert set(asked["photographed"]) == photographed
     assert all(asked["photographed"][key] == plate_file[key] for key in photographed)
-    assert asked["subject"]["name"] == "tile-plate"
-    assert asked["planned"]["definition"]["plan"] == plate_file["plan"]
 
 
 def test_scripts_make_the_parts_of_what_the_snakefile_gives(sets, scenes):
@@ -94,10 +90,6 @@ def test_scripts_make_the_parts_of_what_the_snakefile_gives(sets, scenes):
     photographed = parts.PhotographedObject.of(sets.photographed(plate))
     whole = sets.loaded.objects["tile-plate"]
     assert all(value == getattr(whole, key) for key, value in vars(photographed).items())
-    planned = parts.PlannedPlate.of(sets.planned(plate))
-    assert planned.definition.plan == whole.plan
-    assert planned.sensor == sets.loaded.cameras[whole.camera].virtual.sensor
-    assert parts.ImperfectObject.of(sets.imperfect_object(plate)).definition == whole
     assert parts.RigGeometry.of(sets.rig_geometry(plate)) == parts.RigGeometry.of_rig(sets.loaded.rigs["virtual"])
     assert models.Optics.of(sets.optics(plate)) == sets.loaded.cameras[whole.camera].optics
     scene = sets.loaded.scenes["still-life"]

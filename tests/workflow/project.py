@@ -74,8 +74,6 @@ def small_project(folder: Path) -> Path:
             "rectify.tile_texels": 128,
             "fit.level_by_photograph": True,
             "environment.irradiance": {"max_error": 0.002, "max_height": 64},
-            "report.experiments": True,
-            "report.planning": {"poses": [6, 12], "materials": 400},
         },
     )
     edit(config / "environments" / "classroom.yaml", {"image": {"width": 100, "height": 50}})

@@ -40,8 +40,6 @@ STAGES_AFTER_FIT = {
     "compare_photograph",
     "measure_error_budget",
     "measure_errors",
-    "measure_plan",
-    "measure_imperfections",
     "write_report",
     "all",
 }

@@ -18,8 +18,18 @@ import yaml
 from documented import of_kind, words_of
 from project import ROOT, planned, snakemake
 
-from benchmarks import coverage, exports, published_tables, render, scaling, site_figures, ten_megapixels
+from benchmarks import (
+    coverage,
+    exports,
+    imperfections,
+    published_tables,
+    render,
+    scaling,
+    site_figures,
+    ten_megapixels,
+)
 from irodori.config.models import Size
+from irodori.evaluation.result_tables import ErrorRow, read_rows
 
 _FRAME = {"environment": 64, "width": 16, "height": 12}
 _LIGHT = importlib.import_module("benchmarks.light")
@@ -80,6 +90,7 @@ _TINY = {
         "_DRAWS": 1,
     },
     "plan": {"SIZES": {"small": _FRAME}},
+    "poses": {"POSES": (6,), "MATERIALS": 40},
     "reference": {"SIZES": {"small": {"pixels": "8x6", "converged": 64, "scenes": ["spheres"], "no_growth": True}}},
     "render": {"SIZES": {"small": _FRAME | {"variants": ["spectral"]}}},
     # Without the page: a browser takes seconds to compile its shaders, and the viewer has tests of its own.
@@ -233,6 +244,33 @@ def test_the_benchmark_counts_the_materials_that_each_rig_makes(finished, tmp_pa
     assert 0.4 < float(alpha["within_1_sigma"]) < float(alpha["within_2_sigma"]) <= 1.0
 
 
+def test_the_benchmark_measures_the_plate_on_a_rig_with_each_fault_alone(finished, tmp_path, monkeypatch, capsys):
+    made = []
+
+    def run_chain(folder, cores, *targets):
+        faults = yaml.safe_load((folder / "config/rigs/virtual.yaml").read_text())["virtual"]["imperfections"]
+        plate = yaml.safe_load((folder / "config/objects/tile-plate.yaml").read_text())["virtual"]["materials"]
+        made.append(({name for name in faults if faults[name]["enabled"]}, {one.get("lobe") for one in plate}))
+        jobs = planned(snakemake(folder, "--dry-run", *targets))
+        assert {named["object"] for _, named in jobs if "object" in named} == {"tile-plate"}
+        shutil.copytree(finished / "results/tile-plate", folder / "results/tile-plate")
+        return 1.0
+
+    monkeypatch.setattr(imperfections, "run_chain", run_chain)
+    output, every = tmp_path / "imperfections.csv", set(imperfections.FAULTS)
+    monkeypatch.setattr("sys.argv", ["imperfections", "--faults", "laid_off", "--output", str(output)])
+    imperfections.main()
+    assert made == [(set(), {None}), ({"laid_off"}, {None}), (every, {None}), (every, {"ggx"})]
+    rows = read_rows(output, ErrorRow)
+    assert list(dict.fromkeys(row.subject for row in rows)) == ["none", "laid_off alone", "all", "all, GGX"]
+    (own,) = (row for row in rows if row.subject == "all" and row.light == "D65")
+    known = read_rows(finished / "results/still-life/errors.csv", ErrorRow)
+    (same,) = (r for r in known if (r.subject, r.quantity, r.light) == ("tile-plate", own.quantity, "D65"))
+    assert own == replace(same, subject="all")
+    assert f"mean {own.mean:.4g}" in capsys.readouterr().out
+
+
 def test_every_documented_benchmark_is_run_here():
-    here = {*_TINY, "coverage", "exports", "published_tables", "scaling", "site_figures", "ten_megapixels"}
+    here = {*_TINY, "coverage", "exports", "imperfections", "published_tables", "scaling", "site_figures",
+            "ten_megapixels"}  # fmt: skip
     assert {words_of(command)[0].removeprefix("benchmarks.") for command in of_kind("benchmark")} == here

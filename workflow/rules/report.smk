@@ -105,73 +105,6 @@ use rule measure_errors as measure_camera_errors with:
         "results/benchmarks/measure_errors/cameras-{camera}.tsv"
 
 
-rule measure_plan:
-    input:
-        user_files=ancient(sets.tables_of_plan),
-    output:
-        planning=report(
-            "results/{object}/planning.csv",
-            caption="../report/planning.rst",
-            category="Poses",
-            labels={"object": "{object}"},
-        ),
-    log:
-        "results/logs/measure_plan/{object}.log",
-    benchmark:
-        "results/benchmarks/measure_plan/{object}.tsv"
-    # No stage waits for it, and the loops it shares with them are compiled by then.
-    priority: -10
-    conda:
-        "../../envs/irodori.yaml"
-    threads: 1
-    resources:
-        mem_mb=lambda wildcards, attempt: 1000 * attempt,
-    params:
-        planned=sets.planned,
-        fit=lookup(within=config, dpath="fit"),
-        max_angle_deg=lookup(within=config["rectify"], dpath="max_angle_deg"),
-        planning=lookup(within=config["report"], dpath="planning"),
-        user_files=ledger.content(sets.tables_of_plan),
-        code=code_hash("irodori.evaluation.pose_planning"),
-    script:
-        "../scripts/measure_plan.py"
-
-
-rule measure_imperfections:
-    input:
-        user_files=ancient(sets.files_of_imperfections),
-    output:
-        costs=report(
-            "results/{object}/imperfections.csv",
-            caption="../report/imperfections.rst",
-            category="Errors",
-            labels={"object": "{object}"},
-        ),
-    log:
-        "results/logs/measure_imperfections/{object}.log",
-    benchmark:
-        "results/benchmarks/measure_imperfections/{object}.tsv"
-    # No stage waits for it, and the loops it shares with them are compiled by then.
-    priority: -10
-    conda:
-        "../../envs/irodori.yaml"
-    threads: 1
-    resources:
-        mem_mb=lambda wildcards, attempt: 2000 * attempt,
-    params:
-        subject=sets.imperfect_object,
-        ingest=sets.ingest_options,
-        place=lookup(within=config, dpath="place"),
-        rectify=lookup(within=config, dpath="rectify"),
-        fit=lookup(within=config, dpath="fit"),
-        compress=lookup(within=config, dpath="compress"),
-        lights=lookup(within=config["report"], dpath="lights"),
-        user_files=ledger.content(sets.files_of_imperfections),
-        code=code_hash("irodori.evaluation.imperfection_costs"),
-    script:
-        "../scripts/measure_imperfections.py"
-
-
 rule measure_error_budget:
     input:
         materials=scenes.materials("results/{object}/material.h5"),
@@ -239,8 +172,6 @@ rule measure_registration:
 rule write_report:
     input:
         errors=reports.errors,
-        plans=reports.plates("results/{object}/planning.csv"),
-        imperfections=reports.imperfect("results/{object}/imperfections.csv"),
         budgets=reports.views("results/{scene}/error_budget/{view}.csv", virtual_only=True),
         lenses=reports.lenses,
         references=reports.cameras("results/cameras/{camera}/reference.h5"),

@@ -412,10 +412,6 @@ class Planner:
         expected, fraction = expected_errors(self.seen.of(order), self.sample, patch)
         return Plan([self.poses[i] for i in order], expected, fraction)
 
-    def expected(self, poses: list[Pose]) -> dict[str, tuple[float, float]]:
-        """Return the expected errors of a fit to photographs in given poses, as in `Plan`."""
-        return expected_errors(self._observe(poses), self.sample)[0]
-
     def _observe(self, poses: list[Pose]) -> Observations:
         return observe(self.subject, poses, self.sample, self.noise, self.max_angle_deg, self.weighting)
 

@@ -44,9 +44,6 @@ class VirtualCamera(CameraDevice):
         All photographs of the session in order, along which the light drifts.
     subject : Object, PhotographedObject, EnvironmentDefinition or SceneRadiance, optional
         Definition of the subject; none for the session of a camera's reference photographs.
-    seen : dict, optional
-        Cache of pictures of objects without optics and noise, filled by this camera. Cameras of one definition may
-        share it if their objects and lenses are as far off and their lamps have one spectrum.
     """
 
     suffix = ".dng"
@@ -62,8 +59,6 @@ class VirtualCamera(CameraDevice):
         session: str,
         shots: Sequence[Shot],
         subject: Photographed | None = None,
-        *,
-        seen: dict | None = None,
     ) -> None:
         if camera.virtual is None or rig.virtual is None or camera.optics is None:
             raise ValueError(
@@ -75,7 +70,6 @@ class VirtualCamera(CameraDevice):
         self.light = lamp_light(rig)
         self.band_weights = band_weights(camera, self.light)
         self.faults = Faults(rig.virtual.imperfections, rig.virtual.seed, session, shots)
-        self._known = seen
         self._last: np.ndarray | None = None
 
     @cached_property
@@ -152,20 +146,16 @@ class VirtualCamera(CameraDevice):
         elif subject == "scene":
             response = scene_mosaic(self._scene, self.light, optics, plate, weights)
         elif subject == "object":
-            response = self._object(state, pose, plate)
+            response = self._object(pose, plate, weights)
         else:
             raise DeviceError(f"nothing known of the subject {subject!r}; accepted: what a session photographs")
         return self.faults.through_optics(response), self._hot_rate_e_per_s
 
-    def _object(self, state: int, pose: Pose, plate: np.ndarray) -> np.ndarray:
-        """Return the mosaic of the object for a filter state, a pose and the map of the filter plate."""
-        key = (state, pose, plate.tobytes())
-        if self._known is not None and key in self._known:
-            return self._known[key]
-        weights = self.band_weights[3 * state : 3 * state + 3]
+    def _object(self, pose: Pose, plate: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return the mosaic of the object in a pose, for the map of the filter plate and the weights of the bands."""
         assert isinstance(self.subject, Object | PhotographedObject)  # as `sample` has seen
         subject = self.subject
-        picture = object_mosaic(
+        return object_mosaic(
             self.sample,
             self.camera,
             self.rig,
@@ -176,9 +166,6 @@ class VirtualCamera(CameraDevice):
             markers=subject.markers,
             placements=subject.placements,
         )
-        if self._known is not None:
-            self._known[key] = picture
-        return picture
 
     def status(self) -> dict[str, str]:
         """Return the camera's model, battery, storage and bit depth as text."""
