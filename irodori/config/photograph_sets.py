@@ -14,7 +14,14 @@ from irodori.config.capture_table import LENS, noted_hashes, placement_of, read_
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
 from irodori.config.models import CapturesSource, Object
-from irodori.config.parts import ImperfectObject, PhotographedObject, PlannedObject, PlannedPlate, RigGeometry
+from irodori.config.parts import (
+    ImperfectObject,
+    PhotographedObject,
+    PlannedObject,
+    PlannedPlate,
+    RigGeometry,
+    TrueObject,
+)
 from irodori.geometry.mesh_sources import shape_files
 from irodori.rectification.texture_tiles import tile_rows
 from irodori.spectra.spectral_files import SUFFIXES
@@ -28,6 +35,8 @@ _OF_MATERIAL = (
     *("shape", "texels", "refractive_index", "lobes", "coat", "mirror_weight", "sheet"),
     *("level_patch", "markers", "placements"),
 )
+#: Parts of a camera's definition on which only its calibration depends, and no photograph.
+_OF_CALIBRATION = ("calibration", "comb_filter", "sensitivities")
 _FOLDERS = {"objects": "results", "cameras": "results/cameras", "environments": "results/environments"}
 _ROLES = {
     "objects": ["object"],
@@ -151,8 +160,9 @@ class PhotographSets:
         return self.loaded.cameras[self.camera_of(wildcards)].rig
 
     def camera(self, wildcards) -> dict:
-        """Return the definition of a set's camera."""
-        return self.loaded.cameras[self.camera_of(wildcards)].plain()
+        """Return the definition of a set's camera, without what only its calibration depends on."""
+        found = self.loaded.cameras[self.camera_of(wildcards)].plain()
+        return {key: part for key, part in found.items() if key not in _OF_CALIBRATION}
 
     def rig(self, wildcards) -> dict:
         """Return the definition of a set's rig, without the error of its lamp, on which no photograph depends."""
@@ -250,9 +260,10 @@ class PhotographSets:
         """Return the tables of spectra and the mesh that a session of the virtual rig reads; empty for a real rig."""
         if not self._is_virtual(wildcards):
             return []
-        camera = self.loaded.cameras[self.camera_of(wildcards)]
-        tables = named_tables(self._definition(wildcards), camera, self.loaded.rigs[camera.rig])
-        return tables + (self.mesh(wildcards) if hasattr(wildcards, "object") else [])
+        subjects = {"objects": self.photographed, "environments": self.photographed_place}
+        subject = subjects.get(self._set(wildcards)[0], self.camera)
+        tables = named_tables(subject(wildcards), self.camera(wildcards), self.rig(wildcards))
+        return list(dict.fromkeys(tables)) + (self.mesh(wildcards) if hasattr(wildcards, "object") else [])
 
     def tables_of_calibration(self, wildcards) -> list[str]:
         """Return the tables of spectra that a calibration reads."""
@@ -386,6 +397,10 @@ class PhotographSets:
     def photographed(self, wildcards) -> dict:
         """Return the parts of an object's definition that a photograph depends on."""
         return _part(PhotographedObject, self.loaded.objects[wildcards.object]).plain()
+
+    def true_object(self, wildcards) -> dict:
+        """Return the parts of a virtual object's definition that its true material depends on."""
+        return _part(TrueObject, self.loaded.objects[wildcards.object]).plain()
 
     def ingest_parts(self) -> Iterator[IngestPart]:
         """Yield the captures of all objects in parts, one for each job of ingestion."""

@@ -278,6 +278,23 @@ def test_one_objects_file_reruns_that_object_and_the_place_of_those_photographed
     assert not {"calibrate_camera", "prepare_environment", "capture_camera"} & {rule for rule, _ in jobs}
 
 
+def test_words_for_people_make_only_the_page_again(again):
+    for file in ("objects/leaf-sphere", "cameras/d5100-comb", "rigs/virtual", "environments/classroom"):
+        edit(again / f"config/{file}.yaml", {"description": "other words"})
+    assert not planned(snakemake(again, "--dry-run"))
+    edit(again / "config/scenes/still-life.yaml", {"description": "another title"})
+    rules = {rule for rule, _ in planned(snakemake(again, "--dry-run"))}
+    assert rules == {"encode_viewer", "export_viewer", "write_report", "all"}
+
+
+def test_what_no_photograph_depends_on_takes_none_again(again):
+    edit(again / "config/objects/leaf-sphere.yaml", {"lobes": ["gaussian"], "plan": {"count": 9}})
+    edit(again / "config/cameras/d5100-comb.yaml", {"calibration.texel_photographs": 8})
+    rules = {rule for rule, _ in planned(snakemake(again, "--dry-run"))}
+    assert {"calibrate_camera", "fit_brdf"} <= rules
+    assert not [rule for rule in rules if rule.startswith(("capture", "ingest", "write_true", "write_truth"))]
+
+
 def test_a_patch_in_the_frame_takes_the_place_of_the_estimate(again):
     edit(
         again / "config/objects/leaf-sphere.yaml", {"level_patch": {"centre_mm": [0.0, -40.0, -30.0], "side_mm": 10.0}}
