@@ -343,10 +343,9 @@ window.Irodori = window.Irodori || {};
       straight = (nm) => I.onLine(rows, nm);
     let power;
     if (fine) {
-      power = on((nm) => {
-        const half = Math.min(5, nm - rows[0][0], rows[last][0] - nm);
-        return half > 0 ? triangleMean(rows, nm, half) : straight(nm);
-      });
+      // Beyond the ends of the table, its end values continue.
+      const more = [[rows[0][0] - 5, rows[0][1]], ...rows, [rows[last][0] + 5, rows[last][1]]];
+      power = on((nm) => triangleMean(more, nm, 5));
     } else {
       power = on(even ? (nm) => sprague(rows, nm) : straight);
       if (Math.min(...power) < 0) power = on(straight);
