@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 from irodori.config.capture_table import LENS, noted_hashes, placement_of, read_captures
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
-from irodori.config.models import CapturesSource, Object
+from irodori.config.models import CapturesSource, EnvironmentDefinition, Object
 from irodori.config.parts import (
     ImperfectObject,
     PhotographedObject,
@@ -26,7 +26,15 @@ from irodori.geometry.mesh_sources import shape_files
 from irodori.rectification.texture_tiles import tile_rows
 from irodori.spectra.spectral_files import SUFFIXES
 
-__all__ = ["IngestPart", "PhotographSets", "material_definition", "material_files", "named_tables"]
+__all__ = [
+    "IngestPart",
+    "PhotographSets",
+    "light_definition",
+    "light_files",
+    "material_definition",
+    "material_files",
+    "named_tables",
+]
 
 _Part = TypeVar("_Part", bound=Definition)
 
@@ -37,6 +45,8 @@ _OF_MATERIAL = (
 )
 #: Parts of a camera's definition on which only its calibration depends, and no photograph.
 _OF_CALIBRATION = ("calibration", "comb_filter", "sensitivities")
+#: Parts of an environment's definition on which its light depends, beside photographs.
+_OF_LIGHT = ("camera", "image", "source", "room_charts", "lamps", "lamps_error_percent")
 _FOLDERS = {"objects": "results", "cameras": "results/cameras", "environments": "results/environments"}
 _ROLES = {
     "objects": ["object"],
@@ -71,6 +81,18 @@ def material_definition(definition: Object) -> dict[str, Any]:
 def material_files(definition: Object) -> list[str]:
     """Return the paths of the files that these parts name: meshes, and tables of index and transmittance."""
     return [*shape_files(definition.shape), *named_tables(definition.refractive_index, definition.sheet)]
+
+
+def light_definition(place: EnvironmentDefinition) -> dict[str, Any]:
+    """Return the parts of an environment's definition on which its light depends, beside photographs."""
+    return {key: as_plain(getattr(place, key)) for key in _OF_LIGHT}
+
+
+def light_files(place: EnvironmentDefinition) -> list[str]:
+    """Return the paths of the picture and of the spectral tables that these parts name."""
+    source = place.source
+    picture = [] if place.camera is not None or not hasattr(source, "file") else [source.file]
+    return [*picture, *named_tables(source, place.room_charts, place.lamps)]
 
 
 def _part(kind: type[_Part], whole: Definition) -> _Part:
@@ -535,12 +557,13 @@ class PhotographSets:
             "calibration": f"results/cameras/{self.camera_of(wildcards)}/calibration.h5",
         }
 
+    def light_definition(self, wildcards) -> dict[str, Any]:
+        """Return the parts of an environment's definition on which its light depends."""
+        return light_definition(self.loaded.environments[wildcards.environment])
+
     def files_of_light(self, wildcards) -> list[str]:
         """Return the user's picture and spectral tables that an environment's light is made from."""
-        place = self.loaded.environments[wildcards.environment]
-        source = place.source
-        picture = [] if self.is_photographed(wildcards) or not hasattr(source, "file") else [source.file]
-        return [*picture, *named_tables(source, place.room_charts, place.lamps)]
+        return light_files(self.loaded.environments[wildcards.environment])
 
     # ---- measurements of the rig and of poses
 

@@ -17,14 +17,14 @@ from written_files import KINDS, PAGE, of_page, of_results, tables
 from benchmarks.written_pictures import spectra_in
 from irodori.calibration.verdict import TOLERANCES
 from irodori.config.definitions import load_definitions
-from irodori.config.photograph_sets import material_definition
+from irodori.config.photograph_sets import light_definition, material_definition
 from irodori.core.errors import InputError
+from irodori.core.made_of import made_of, refuse_changed_definition
 from irodori.core.store import open_file
 from irodori.core.units import require_unit
 from irodori.core.yaml_files import read_yaml
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import RegistrationRow, read_rows
-from irodori.material.made_of import made_of, refuse_changed_definition
 from irodori.material.material_file import Material
 from irodori.report.page import typical_gloss_text
 from irodori.viewer.browser import browser_command
@@ -158,6 +158,14 @@ def test_a_material_states_the_definition_that_it_was_made_of(finished):
         refuse_changed_definition(file, now, Path(name), "snakemake")
         with pytest.raises(InputError, match="made before mirror_weight of"):
             refuse_changed_definition(file, now | {"mirror_weight": 0.9}, Path(name), "snakemake")
+
+
+def test_a_light_states_the_definition_that_it_was_made_of(finished):
+    place = load_definitions(read_yaml(finished / "config/config.yaml"), finished).environments["classroom"]
+    now, file = made_of(light_definition(place), ()), finished / "results/environments/classroom.h5"
+    refuse_changed_definition(file, now, Path("classroom.yaml"), "snakemake")
+    with pytest.raises(InputError, match=r"made before lamps of classroom\.yaml changed"):
+        refuse_changed_definition(file, now | {"lamps": ["FL2"]}, Path("classroom.yaml"), "snakemake")
 
 
 def test_a_sphere_that_was_turned_over_is_known_on_both_halves(finished):
