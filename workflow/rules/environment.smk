@@ -20,6 +20,6 @@ rule prepare_environment:
         definition=sets.light_definition,
         photographed=sets.is_photographed,
         user_files=ledger.content(sets.files_of_light),
-        code=code_hash("irodori.light.stage"),
+        code=code_hash("irodori.light.stage", "irodori.core.made_of"),
     script:
         "../scripts/prepare_environment.py"
