@@ -268,4 +268,18 @@ MISTAKES = (
         "irodori/light/clipped_lamps.py",
         ("tests/unit/test_clipped_lamps.py::test_a_lamp_that_is_cut_off_is_warned_of_and_a_whole_one_is_not",),
     ),
+    Mistake(
+        "panorama upside down", LIGHT, WARNED, "is the panorama upside down?", "irodori/light/panorama_doubts.py",
+        ("tests/unit/test_panorama_doubts.py::test_a_measured_place_is_warned_of_only_upside_down",),
+    ),
+    Mistake(
+        "panorama made from a picture of 8 bits for a display", LIGHT, WARNED, "bits for a display",
+        "irodori/light/panorama_doubts.py",
+        ("tests/unit/test_panorama_doubts.py::test_a_picture_for_a_display_is_known_by_its_steps",),
+    ),
+    Mistake(
+        "TIFF panorama with the profile of a display", LIGHT, REFUSED, "linear light of the primaries of sRGB",
+        "irodori/light/light_files.py",
+        ("tests/unit/test_panorama_doubts.py::test_a_tiff_whose_icc_profile_is_not_of_linear_srgb_is_refused",),
+    ),
 )  # fmt: skip

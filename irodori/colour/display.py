@@ -92,7 +92,14 @@ class Display:
         """Return the code values of linear RGB, (..., 3), and a count of the pixels that are out of gamut.
 
         Each channel is clipped to 0..1. The code values are uint8 up to 8 bits and uint16 above.
+
+        Raises
+        ------
+        ValueError
+            If a number is not finite, which has no code value.
         """
+        if not np.isfinite(linear).all():
+            raise ValueError("linear RGB that is not finite; accepted: finite numbers")
         codes = np.stack(
             [curve.code(np.clip(linear[..., i], 0.0, 1.0)) for i, curve in enumerate(self.curves)], axis=-1
         )

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from irodori.config.capture_table import chart_capture, expand_poses, read_captures, room_chart_capture
 from irodori.config.cross_checks.captures_on_rig import table_and_folder
@@ -27,6 +28,14 @@ class Loaded(Definition):
     environments: Mapping[str, EnvironmentDefinition] = dataclasses.field(hash=False)
     cameras: Mapping[str, Camera] = dataclasses.field(hash=False)
     rigs: Mapping[str, Rig] = dataclasses.field(hash=False)
+
+    def without_descriptions(self) -> "Loaded":
+        """Return the same without descriptions, words for people on which no result but a page's title depends."""
+        plain: dict[str, Any] = {
+            kind: {name: dataclasses.replace(one, description=None) for name, one in getattr(self, kind).items()}
+            for kind in ("scenes", "objects", "environments", "cameras", "rigs")
+        }
+        return dataclasses.replace(self, **plain)
 
     def photographed(self, kind: str, name: str) -> Object | Camera | EnvironmentDefinition:
         """Return the definition of the subject of a set of photographs."""

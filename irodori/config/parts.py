@@ -53,6 +53,18 @@ class PhotographedObject(Definition):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class TrueObject(Definition):
+    """Parts of a virtual object's definition that its true material depends on."""
+
+    shape: ObjectShape
+    texels: Size
+    refractive_index: RefractiveIndex
+    mirror_weight: float
+    virtual: VirtualObject | None = None
+    sheet: Sheet | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class TexturedObject(Definition):
     """Parts of an object's definition that the observations of its texels depend on."""
 

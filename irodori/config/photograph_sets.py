@@ -13,13 +13,21 @@ from typing import Any, NamedTuple, TypeVar
 from irodori.config.capture_table import LENS, noted_hashes, placement_of, read_captures
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
-from irodori.config.models import CapturesSource, Object
-from irodori.config.parts import PhotographedObject, RigGeometry
+from irodori.config.models import CapturesSource, EnvironmentDefinition, Object
+from irodori.config.parts import PhotographedObject, RigGeometry, TrueObject
 from irodori.geometry.mesh_sources import shape_files
 from irodori.rectification.texture_tiles import tile_rows
 from irodori.spectra.spectral_files import SUFFIXES
 
-__all__ = ["IngestPart", "PhotographSets", "material_definition", "material_files", "named_tables"]
+__all__ = [
+    "IngestPart",
+    "PhotographSets",
+    "light_definition",
+    "light_files",
+    "material_definition",
+    "material_files",
+    "named_tables",
+]
 
 _Part = TypeVar("_Part", bound=Definition)
 
@@ -28,6 +36,10 @@ _OF_MATERIAL = (
     *("shape", "texels", "refractive_index", "lobes", "coat", "mirror_weight", "sheet"),
     *("level_patch", "markers", "placements"),
 )
+#: Parts of a camera's definition on which only its calibration depends, and no photograph.
+_OF_CALIBRATION = ("calibration", "comb_filter", "sensitivities")
+#: Parts of an environment's definition on which its light depends, beside photographs.
+_OF_LIGHT = ("camera", "image", "source", "room_charts", "lamps", "lamps_error_percent")
 _FOLDERS = {"objects": "results", "cameras": "results/cameras", "environments": "results/environments"}
 _ROLES = {
     "objects": ["object"],
@@ -62,6 +74,18 @@ def material_definition(definition: Object) -> dict[str, Any]:
 def material_files(definition: Object) -> list[str]:
     """Return the paths of the files that these parts name: meshes, and tables of index and transmittance."""
     return [*shape_files(definition.shape), *named_tables(definition.refractive_index, definition.sheet)]
+
+
+def light_definition(place: EnvironmentDefinition) -> dict[str, Any]:
+    """Return the parts of an environment's definition on which its light depends, beside photographs."""
+    return {key: as_plain(getattr(place, key)) for key in _OF_LIGHT}
+
+
+def light_files(place: EnvironmentDefinition) -> list[str]:
+    """Return the paths of the picture and of the spectral tables that these parts name."""
+    source = place.source
+    picture = [] if place.camera is not None or not hasattr(source, "file") else [source.file]
+    return [*picture, *named_tables(source, place.room_charts, place.lamps)]
 
 
 def _part(kind: type[_Part], whole: Definition) -> _Part:
@@ -151,8 +175,9 @@ class PhotographSets:
         return self.loaded.cameras[self.camera_of(wildcards)].rig
 
     def camera(self, wildcards) -> dict:
-        """Return the definition of a set's camera."""
-        return self.loaded.cameras[self.camera_of(wildcards)].plain()
+        """Return the definition of a set's camera, without what only its calibration depends on."""
+        found = self.loaded.cameras[self.camera_of(wildcards)].plain()
+        return {key: part for key, part in found.items() if key not in _OF_CALIBRATION}
 
     def rig(self, wildcards) -> dict:
         """Return the definition of a set's rig, without the error of its lamp, on which no photograph depends."""
@@ -250,9 +275,10 @@ class PhotographSets:
         """Return the tables of spectra and the mesh that a session of the virtual rig reads; empty for a real rig."""
         if not self._is_virtual(wildcards):
             return []
-        camera = self.loaded.cameras[self.camera_of(wildcards)]
-        tables = named_tables(self._definition(wildcards), camera, self.loaded.rigs[camera.rig])
-        return tables + (self.mesh(wildcards) if hasattr(wildcards, "object") else [])
+        subjects = {"objects": self.photographed, "environments": self.photographed_place}
+        subject = subjects.get(self._set(wildcards)[0], self.camera)
+        tables = named_tables(subject(wildcards), self.camera(wildcards), self.rig(wildcards))
+        return list(dict.fromkeys(tables)) + (self.mesh(wildcards) if hasattr(wildcards, "object") else [])
 
     def tables_of_calibration(self, wildcards) -> list[str]:
         """Return the tables of spectra that a calibration reads."""
@@ -387,6 +413,10 @@ class PhotographSets:
         """Return the parts of an object's definition that a photograph depends on."""
         return _part(PhotographedObject, self.loaded.objects[wildcards.object]).plain()
 
+    def true_object(self, wildcards) -> dict:
+        """Return the parts of a virtual object's definition that its true material depends on."""
+        return _part(TrueObject, self.loaded.objects[wildcards.object]).plain()
+
     def ingest_parts(self) -> Iterator[IngestPart]:
         """Yield the captures of all objects in parts, one for each job of ingestion."""
         size = self.loaded.config.ingest.captures_per_job
@@ -520,9 +550,10 @@ class PhotographSets:
             "calibration": f"results/cameras/{self.camera_of(wildcards)}/calibration.h5",
         }
 
+    def light_definition(self, wildcards) -> dict[str, Any]:
+        """Return the parts of an environment's definition on which its light depends."""
+        return light_definition(self.loaded.environments[wildcards.environment])
+
     def files_of_light(self, wildcards) -> list[str]:
         """Return the user's picture and spectral tables that an environment's light is made from."""
-        place = self.loaded.environments[wildcards.environment]
-        source = place.source
-        picture = [] if self.is_photographed(wildcards) or not hasattr(source, "file") else [source.file]
-        return [*picture, *named_tables(source, place.room_charts, place.lamps)]
+        return light_files(self.loaded.environments[wildcards.environment])

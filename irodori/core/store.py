@@ -78,6 +78,10 @@ class Mask(IntEnum):
     YES = 1
 
 
+#: Attribute with the definition that a file was made of.
+MADE_OF = "made_of"
+
+
 @dataclass(frozen=True)
 class Provenance:
     """Origin of a file; each stage fills it from its rule's parameters.
@@ -89,12 +93,15 @@ class Provenance:
         Hashes of the parameters and of the code that made the file.
     inputs : dict
         {path: hash} of the files read; a script may add files that it finds only while it runs.
+    made_of : dict, optional
+        Definition that HDF5 files state, see `irodori.core.made_of`.
     """
 
     rule: str
     config_hash: str = ""
     code_hash: str = ""
     inputs: dict[str, str] = field(default_factory=dict)
+    made_of: dict | None = None
 
     @property
     def input_sha256(self) -> str:
@@ -271,6 +278,8 @@ def create(path, provenance: Provenance) -> Iterator[Writer]:
             libraries = {name: version(name) for name in ("numpy", "h5py")}
             writer.attribute("created_by", {"irodori": __version__, **libraries})
             writer.attribute("units_vocabulary", VOCABULARY)
+            if provenance.made_of is not None:
+                writer.attribute(MADE_OF, provenance.made_of)
             yield writer
             writer.attach_scales()
         custody.write_head(temporary, str(path), inputs)

@@ -213,8 +213,8 @@ def compare_photograph(
     objects = shows_an_object(ideal, placed, placements)
     figures = _figures(found, objects, photograph, before is not None)
     white_xyz = xyz_from_radiance(white) @ white
-    for key in ("photograph", "rendering"):
-        picture = np.nan_to_num(getattr(found, key))
+    # Pixels that no sample of the photograph shows are black.
+    for key, picture in (("photograph", np.nan_to_num(found.photograph)), ("rendering", found.rendering)):
         figures[f"{key}_out_of_gamut"] = write_picture(outputs[key], picture, white_xyz, display)
     _write(found, objects, outputs, figures | {"samples": samples, "display": display.name}, provenance)
 

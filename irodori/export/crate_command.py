@@ -9,13 +9,13 @@ from pathlib import Path
 from irodori.config.project import DEFAULT_FILE, inside
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
-from irodori.export.run_crate import METADATA, RunFiles, run_crate
+from irodori.export.run_crate import METADATA, WORKFLOW, RunFiles, run_crate
 
 #: Files that are compressed already are stored as they are.
 _PACKED = (".h5", ".exr", ".png", ".dng", ".zip")
 
 
-def write_crate(configuration: list[str], output: Path | None) -> Path:
+def write_crate(configuration: list[str], output: Path | None, snakefile: Path | None = None) -> Path:
     """Write the RO-Crate of a configuration's finished run in the working directory, and return its path.
 
     Parameters
@@ -24,18 +24,24 @@ def write_crate(configuration: list[str], output: Path | None) -> Path:
         Configuration files that override the default one.
     output : path, optional
         A new folder, or a file that ends in ``.zip``, into which all files are copied. By default only the description
-        is written, into the project's folder, and the files stay where they are.
+        is written, into the project's folder, and the files stay where they are; the workflow must be among them.
+    snakefile : path, optional
+        The workflow's Snakefile, see `irodori.export.run_crate.find_snakefile`.
 
     Raises
     ------
     InputError
-        See `irodori.export.run_crate.run_crate`; or if `output` exists already.
+        See `irodori.export.run_crate.run_crate`; if `output` exists already; or if there is none, and the workflow lies
+        outside the project's folder.
     OSError
         If the disk is full or cannot be written to.
     """
     if output is not None and (output.exists() or output.is_symlink()):
         raise InputError(output, "", "something that is there already", "a name that is free")
-    metadata, files = run_crate(configuration)
+    metadata, files = run_crate(configuration, snakefile)
+    if output is None and files.snakefile.resolve() != (files.project / WORKFLOW).resolve():
+        accepted = "--output, which copies it with all other files, because a crate is one folder"
+        raise InputError(files.snakefile, "", "a workflow that lies outside the project's folder", accepted)
     text = json.dumps(metadata, indent=1, ensure_ascii=False) + "\n"
     if output is None:
         output = files.project / METADATA
@@ -47,7 +53,7 @@ def write_crate(configuration: list[str], output: Path | None) -> Path:
         output.mkdir(parents=True)
         for name in files.all:
             (output / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(files.project / name, output / name)
+            shutil.copy2(files.path(name), output / name)
         # Written last, so that a folder with a description is complete.
         (output / METADATA).write_text(text, encoding="utf-8")
     return output
@@ -58,7 +64,7 @@ def _write_zip(output: Path, text: str, files: RunFiles) -> None:
         archive.writestr(METADATA, text)
         for name in files.all:
             packed = zipfile.ZIP_STORED if name.endswith(_PACKED) else zipfile.ZIP_DEFLATED
-            archive.write(files.project / name, name, packed)
+            archive.write(files.path(name), name, packed)
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori crate") -> int:
@@ -75,13 +81,17 @@ def main(arguments: list[str] | None = None, prog: str = "irodori crate") -> int
         "--configfile", nargs="+", default=[], help=f"configurations on top of {DEFAULT_FILE}, as snakemake has them"
     )
     parser.add_argument(
+        "--snakefile", type=Path, metavar="FILE",
+        help=f"the workflow's Snakefile, if it is neither {WORKFLOW} of the project nor of this program's clone",
+    )  # fmt: skip
+    parser.add_argument(
         "--output", type=Path, metavar="PATH", help="a new folder, or a file ending in .zip, that takes copies of all"
     )
     asked = parser.parse_args(arguments)
-    output = asked.output and asked.output.absolute()
+    output, snakefile = (path and path.absolute() for path in (asked.output, asked.snakefile))
     try:
         with inside(asked.directory):
-            print(write_crate(asked.configfile, output))
+            print(write_crate(asked.configfile, output, snakefile))
     except BrokenPipeError:  # nobody reads the output: `irodori.command_line` ends
         raise
     except (PlainError, OSError) as error:

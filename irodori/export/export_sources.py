@@ -9,14 +9,14 @@ import numpy as np
 
 from irodori.config.loaded import Loaded
 from irodori.config.models import Scene
-from irodori.config.photograph_sets import material_definition, material_files
+from irodori.config.photograph_sets import light_definition, light_files, material_definition, material_files
 from irodori.config.placed_names import materials_of
 from irodori.config.project import DEFAULT_FILE, definitions_folder, load_named
 from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
+from irodori.core.made_of import made_of, refuse_changed_definition
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
-from irodori.material.made_of import made_of, refuse_changed_definition
 from irodori.material.material_file import Material
 from irodori.rendering.energy_gain import load_materials
 from irodori.rendering.integrators import with_bodies
@@ -103,6 +103,20 @@ def material_of(loaded: Loaded, name: str, configs: Sequence[str] = ()) -> Path:
     return path
 
 
+def light_of(loaded: Loaded, name: str, configs: Sequence[str] = ()) -> Path:
+    """Return the path of an environment's light after checking that it exists and is of its definition of today.
+
+    Raises
+    ------
+    InputError
+        If it does not exist yet, or its environment's definition has changed since it was made.
+    """
+    path, place = result(Path(f"results/environments/{name}.h5"), configs), loaded.environments[name]
+    file = Path(loaded.config.definitions) / "environments" / f"{name}.yaml"
+    refuse_changed_definition(path, made_of(light_definition(place), light_files(place)), file, _making(path, configs))
+    return path
+
+
 def _item(name: str, placement: Placement, material: Material, file: Path | None) -> Item:
     covered = placement.shape.is_covered(*material.alpha.shape[::-1])
     if not (material.observed & covered).any():
@@ -120,13 +134,14 @@ def find(name: str, configs: Sequence[str] = ()) -> Source:
     Raises
     ------
     InputError
-        If the name is unknown, its definition is faulty or has changed since its material was made, a result does not
-        exist yet, no texel of an object has data, or a material of a scene reflects more light than it receives.
+        If the name is unknown, its definition is faulty or has changed since its material or light was made, a result
+        does not exist yet, no texel of an object has data, or a material of a scene reflects more light than it
+        receives.
     """
     folder, own = kind_of(name, configs)
-    if folder == "environments":
-        return Source(own, _FOLDERS[folder], [], None, result(Path(f"results/environments/{own}.h5"), configs))
     loaded = load_named(folder, own, configs)
+    if folder == "environments":
+        return Source(own, _FOLDERS[folder], [], None, light_of(loaded, own, configs))
     if folder == "objects":
         shape = Shape.from_definition(loaded.objects[own].shape)
         file = material_of(loaded, own, configs)
@@ -139,5 +154,5 @@ def find(name: str, configs: Sequence[str] = ()) -> Source:
     known: list[Path | None] = [*files[: len(scene.objects)], *([None] * len(scene.bodies))]
     parts = zip(names, make_placements(scene, shapes), materials, known, strict=True)
     items = [_item(*part) for part in parts]
-    light = result(Path(f"results/environments/{scene.environment}.h5"), configs)
+    light = light_of(loaded, scene.environment, configs)
     return Source(own, _FOLDERS[folder], items, scene, light)

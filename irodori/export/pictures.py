@@ -216,6 +216,7 @@ class Header(NamedTuple):
     chromaticities: tuple[float, ...] | None  # x, y of red, green, blue and white, where the file states them
     colour_space: str | None  # name of the colour space, where the file states it; see `_colour_space`
     projection: str | None  # which directions the pixels show, where the file states it; see `_projection`
+    profile: bytes | None  # ICC profile, where the file has one
 
 
 def picture_header(path) -> Header:
@@ -237,7 +238,9 @@ def picture_header(path) -> Header:
         found = "something else than eight numbers"
         raise InputError(path, "chromaticities", found, "x and y of red, green, blue and white")
     size, names = (spec.height, spec.width), list(spec.channelnames)
-    return Header(size, names, str(spec.format), shown, chromaticities, _colour_space(spec), _projection(spec))
+    profile = spec.getattribute("ICCProfile")
+    profile = None if profile is None else np.asarray(profile, dtype=np.uint8).tobytes()
+    return Header(size, names, str(spec.format), shown, chromaticities, _colour_space(spec), _projection(spec), profile)
 
 
 def _projection(spec: oiio.ImageSpec) -> str | None:

@@ -28,7 +28,7 @@ from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError, PlainError
 
 METADATA = "ro-crate-metadata.json"
-_SNAKEFILE = "workflow/Snakefile"
+WORKFLOW = "workflow/Snakefile"
 _RESULTS = "results"
 _RECORDS = ".snakemake/metadata"
 _PROFILES = {
@@ -114,13 +114,26 @@ def jobs_of(project: Path) -> list[Job]:
 
 @dataclass(frozen=True)
 class RunFiles:
-    """Files of a run: path relative to the project's folder -> SHA-256 of the whole file, 64 hexadecimal digits."""
+    """Files of a run: path in the crate -> SHA-256 of the whole file, 64 hexadecimal digits.
+
+    All but the workflow lie under the same path in the project's folder. The workflow may lie elsewhere: ``snakefile``
+    is ``workflow/Snakefile`` of the crate, and the other files are where they are relative to it.
+    """
 
     project: Path
+    snakefile: Path
     workflow: Mapping[str, str]
     settings: Mapping[str, str]
     given: Mapping[str, str]
     results: Mapping[str, str]
+
+    def path(self, name: str) -> Path:
+        """Return where a file of the crate lies."""
+        if name == WORKFLOW:
+            return self.snakefile
+        if name in self.workflow:
+            return self.snakefile.parent / PurePosixPath(name).relative_to("workflow")
+        return self.project / name
 
     @property
     def all(self) -> dict[str, str]:
@@ -129,7 +142,7 @@ class RunFiles:
 
 
 def collect(
-    project: Path, configuration: Iterable[str], workflow: Iterable[Path], loaded: Loaded, jobs: Iterable[Job]
+    project: Path, configuration: Iterable[str], snakefile: Path, loaded: Loaded, jobs: Iterable[Job]
 ) -> RunFiles:
     """Find the files of a configuration's run, and compare inputs and results with the hashes recorded for them.
 
@@ -142,8 +155,8 @@ def collect(
         The folder in which snakemake ran, which is the working directory.
     configuration : iterable of str
         Configuration files.
-    workflow : iterable of path
-        Files of the workflow, in the project's folder.
+    snakefile : path
+        The workflow's Snakefile.
     loaded : Loaded
         Configuration and definitions.
     jobs : iterable of Job
@@ -175,7 +188,13 @@ def collect(
     def hashed(paths: Iterable[Path]) -> dict[str, str]:
         return {_inside(path, project): file_sha256(path) for path in paths}
 
-    return RunFiles(project, hashed(sorted(workflow)), hashed(settings), hashed(given), hashed(made))
+    workflow = {_in_crate(path, snakefile): file_sha256(path) for path in workflow_files(snakefile)}
+    return RunFiles(project, snakefile, workflow, hashed(settings), hashed(given), hashed(made))
+
+
+def _in_crate(path: Path, snakefile: Path) -> str:
+    """Return the path that a file of the workflow has in the crate."""
+    return WORKFLOW if path == snakefile else f"workflow/{path.relative_to(snakefile.parent).as_posix()}"
 
 
 def _inside(path: Path, project: Path) -> str:
@@ -277,15 +296,15 @@ def describe(files: RunFiles, jobs: list[Job], loaded: Loaded) -> dict:
             example_of |= dict.fromkeys(names, identifier)
     known = {one["@id"] for one in parameters}
     main = {
-        "@id": _SNAKEFILE, "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow"], "name": "Irodori",
+        "@id": WORKFLOW, "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow"], "name": "Irodori",
         "description": "From RAW photographs of a real object to its picture under any light", "version": __version__,
         "license": _reference(_OWN_LICENCE), "programmingLanguage": _reference("#snakemake"),
         "conformsTo": _reference("https://bioschemas.org/profiles/ComputationalWorkflow/1.0-RELEASE"),
         **_pointing("input", (i for kind in inputs if (i := f"#parameter-{kind}") in known)),
         **_pointing("output", (i for kind in outputs if (i := f"#parameter-{kind}") in known)),
-        **_content(files, _SNAKEFILE),
+        **_content(files, WORKFLOW),
     }  # fmt: skip
-    entities = [_file(files, name, example_of) for name in sorted(files.all) if name != _SNAKEFILE]
+    entities = [_file(files, name, example_of) for name in sorted(files.all) if name != WORKFLOW]
     actions = [*_actions(files, jobs, made, person)]
     end = max(job.end_s for job in jobs)
     devices = list(_devices(loaded))
@@ -294,7 +313,7 @@ def describe(files: RunFiles, jobs: list[Job], loaded: Loaded) -> dict:
         "name": f"Irodori: {', '.join(config.make.scenes or config.make.cameras) or 'a run'}",
         "description": "Photographs of real objects, their spectral reflectance and gloss, and pictures of them.",
         "datePublished": _time(end), "license": _reference(licence["@id"]),
-        "mainEntity": _reference(_SNAKEFILE), **_pointing("hasPart", map(_identifier, sorted(files.all))),
+        "mainEntity": _reference(WORKFLOW), **_pointing("hasPart", map(_identifier, sorted(files.all))),
         **_pointing("mentions", (one["@id"] for one in (*actions, *devices))),
     }  # fmt: skip
     if person is not None:
@@ -318,7 +337,7 @@ def describe(files: RunFiles, jobs: list[Job], loaded: Loaded) -> dict:
 
 def _content(files: RunFiles, name: str) -> dict[str, str]:
     kind = _FORMATS.get(PurePosixPath(name).suffix.lower(), "application/octet-stream")
-    size = (files.project / name).stat().st_size
+    size = files.path(name).stat().st_size
     return {"encodingFormat": kind, "contentSize": str(size), "sha256": files.all[name]}
 
 
@@ -336,7 +355,7 @@ def _actions(files: RunFiles, jobs: list[Job], made: Mapping[str, list[str]], pe
     status = {"actionStatus": "http://schema.org/CompletedActionStatus"}
     yield {
         "@id": "#run", "@type": "CreateAction", "name": "The run", "description": "All jobs of the workflow together",
-        "instrument": _reference(_SNAKEFILE), **agent, **status,
+        "instrument": _reference(WORKFLOW), **agent, **status,
         "startTime": _time(min(job.start_s for job in jobs)), "endTime": _time(max(job.end_s for job in jobs)),
         **_pointing("object", map(_identifier, (*files.settings, *files.given))),
         **_pointing("result", (_identifier(name) for names in made.values() for name in names)),
@@ -390,18 +409,27 @@ def workflow_files(snakefile: Path) -> list[Path]:
         If the Snakefile does not exist.
     """
     if not snakefile.is_file():
-        raise InputError(snakefile, "", "no such file", "the workflow's Snakefile, workflow/Snakefile of the project")
+        raise InputError(snakefile, "", "no such file", "the workflow's Snakefile, which --snakefile names")
     beside = (snakefile.parent / folder for folder in ("rules", "scripts", "report"))
     return [snakefile, *(path for folder in beside for path in sorted(folder.glob("*.*")) if path.is_file())]
 
 
-def run_crate(configuration: list[str]) -> tuple[dict, RunFiles]:
+def find_snakefile(project: Path, given: Path | None = None) -> Path:
+    """Return the path of a run's Snakefile: the given one, or else that of the project, or that beside this package."""
+    beside = Path(__file__).resolve().parents[2] / WORKFLOW
+    own = project / WORKFLOW
+    return given or (own if own.is_file() or not beside.is_file() else beside)
+
+
+def run_crate(configuration: list[str], snakefile: Path | None = None) -> tuple[dict, RunFiles]:
     """Return the metadata of the crate of a configuration's finished run, and the files of the run.
 
     Parameters
     ----------
     configuration : list of str
         Configuration files that override the default one; the working directory is the project's folder.
+    snakefile : path, optional
+        The workflow's Snakefile, see `find_snakefile`.
 
     Raises
     ------
@@ -410,7 +438,7 @@ def run_crate(configuration: list[str]) -> tuple[dict, RunFiles]:
     """
     project = Path.cwd()
     loaded = load_project(configuration)
-    workflow, jobs = workflow_files(project / _SNAKEFILE), jobs_of(project)
-    files = collect(project, configuration_files(configuration), workflow, loaded, jobs)
+    jobs = jobs_of(project)
+    files = collect(project, configuration_files(configuration), find_snakefile(project, snakefile), loaded, jobs)
     own = [job for job in jobs if not files.results.keys().isdisjoint(job.outputs)]
     return describe(files, own, loaded), files

@@ -4,11 +4,14 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from irodori.colour.display import srgb
+from irodori.colour.icc import D50_XYZ, bradford, read_profile
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.export.pictures import Header, layers_of, picture_bands, picture_header
 from irodori.light.clipped_lamps import LargestNumbers
 from irodori.light.omnidirectional import BAND_ROWS, OmnidirectionalPicture, from_panorama
+from irodori.light.panorama_doubts import DisplaySteps, LightFromBelow
 from irodori.light.whole_sphere import whole_sphere
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
@@ -24,6 +27,8 @@ _RGB_ASSUMPTION = (
 #: Chromaticities x, y of red, green, blue and white of linear sRGB (ITU-R BT.709).
 _SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 _CHROMATICITY_ROUNDING = 2e-3
+#: Rounding of a profile's primaries, XYZ, and of its curve, sampled at so many codes.
+_PROFILE_ROUNDING, _LOOKED_AT = 2e-3, 1024
 #: Names of its colour space, as files state it, and names that say nothing of the colours.
 _LINEAR, _UNSPECIFIC = "lin_rec709_scene", ("data", "unknown")
 #: Accepted deviation of the width from twice the height, relative to the width; rescaling can cut pixels off.
@@ -79,12 +84,14 @@ def _panorama(
         raise InputError(path, "", f"{width} x {height} pixels", accepted)
     not_negative = _NotNegative(origin)
 
-    def samples(tops: LargestNumbers) -> Iterator[np.ndarray]:
+    def samples(tops: LargestNumbers, steps: DisplaySteps, below: LightFromBelow) -> Iterator[np.ndarray]:
         lit = False
         for first, band in picture_bands(path, BAND_ROWS):
             numbers = _sound(band[..., channels], first, path)
             tops.add(numbers)
+            steps.add(numbers)
             values = not_negative(convert(numbers), first)
+            below.add(values, first)
             lit = lit or bool((values > 0.0).any())
             yield values
         if not lit:
@@ -92,9 +99,11 @@ def _panorama(
 
     def read() -> Iterator[np.ndarray]:
         tops = LargestNumbers([header.channels[index] for index in channels], height * width)
-        for values in whole_sphere(samples(tops), header.size, path):
+        steps, below = DisplaySteps(), LightFromBelow(height)
+        for values in whole_sphere(samples(tops, steps, below), header.size, path):
             yield from_panorama(values * np.float32(scale), centre_azimuth_deg)
-        known, origin["warnings"] = "warnings" in origin, [*tops.clipping(), *not_negative.warnings()]
+        doubts = [*tops.clipping(), *steps.warnings(), *below.warnings(), *not_negative.warnings()]
+        known, origin["warnings"] = "warnings" in origin, doubts
         for text in [] if known else origin["warnings"]:
             LOGGER.warning("%s: %s", path, text)
 
@@ -141,6 +150,21 @@ class _NotNegative:
         return [f"negative values of {100 * share:.0f} % of the positive ones were set to 0, which adds light"]
 
 
+def _check_profile(data: bytes | None, path) -> None:
+    """Refuse a picture whose ICC profile, if it has one, is not that of linear light of the primaries of sRGB."""
+    if data is None:
+        return
+    profile = read_profile(data, path)
+    codes = np.linspace(0.0, 1.0, _LOOKED_AT)
+    bent = max(float(np.abs(curve.linear(codes) - codes).max()) for curve in profile.curves)
+    # Profiles state the white as it is or adapted to D50.
+    xyz = bradford(D50_XYZ, profile.xyz_from_rgb.sum(axis=1)) @ profile.xyz_from_rgb
+    own = bradford(D50_XYZ, srgb().white_xyz) @ srgb().xyz_from_rgb
+    if bent > _PROFILE_ROUNDING or np.abs(xyz - own).max() > _PROFILE_ROUNDING:
+        found = f"{profile.description!r}, with {'a tone curve' if bent > _PROFILE_ROUNDING else 'other primaries'}"
+        raise InputError(path, "ICC profile", found, "linear light of the primaries of sRGB, or no profile")
+
+
 def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> OmnidirectionalPicture:
     """Open the light of an RGB panorama; its spectra are assumed, after Mallett and Yuksel (2019).
 
@@ -159,14 +183,16 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Om
     ------
     InputError
         If the file cannot be read, lacks R, G or B, states other primaries, another colour space or another projection,
-        contains only a part of the picture, is not twice as wide as high, has columns stored as rows, or has integer
-        samples. While the bands are read: if the file is truncated, a pixel is not finite or at the end of half
-        precision, none is positive, or the picture does not show all directions (`irodori.light.whole_sphere`).
+        has an ICC profile other than that of linear sRGB, contains only a part of the picture, is not twice as wide as
+        high, has columns stored as rows, or has integer samples. While the bands are read: if the file is truncated, a
+        pixel is not finite or at the end of half precision, none is positive, or the picture does not
+        show all directions (`irodori.light.whole_sphere`).
 
     Notes
     -----
     Negative values, which result from lossy compression and wide gamuts, are set to 0 and counted in ``origin``; above
-    5 % of the positive ones there is a warning, and so there is if the largest number looks like clipped lamps.
+    5 % of the positive ones there is a warning, and so there is if the largest number looks like clipped lamps, the
+    numbers have the steps of a picture for a display, or much more light comes from below than from above.
     """
     header = _panorama_header(path)
     names, depth = header.channels, header.depth
@@ -181,6 +207,7 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Om
     if stated is not None and np.abs(np.array(stated) - _SRGB).max() > _CHROMATICITY_ROUNDING:
         found = ", ".join(f"{value:g}" for value in stated)
         raise InputError(path, "chromaticities", found, f"those of linear sRGB: {', '.join(map(str, _SRGB))}")
+    _check_profile(header.profile, path)
     if header.colour_space not in (None, _LINEAR, *_UNSPECIFIC):
         accepted = f"{_LINEAR}, linear light of the primaries of sRGB, or no statement"
         raise InputError(path, "colour space", str(header.colour_space), accepted)

@@ -24,7 +24,6 @@ from irodori.material.energy import ALBEDO, ERROR, AlbedoModel, Energy, Errors, 
 from irodori.material.filter_level import level_of_object
 from irodori.material.fitted_tiles import FittedTile, FittedTiles, columns
 from irodori.material.lobe_choices import NOTHING_COMPARED, Comparison
-from irodori.material.made_of import MADE_OF
 from irodori.material.material_file import (
     BASIS,
     COEFFICIENTS,
@@ -225,7 +224,6 @@ def compress_reflectance(
     lobe_choice: Comparison = NOTHING_COMPARED,
     observations: Sequence = (),
     levels: Sequence = (),
-    made_of: dict | None = None,
 ) -> None:
     """Write an object's ``material.h5`` from its fitted tiles.
 
@@ -241,8 +239,6 @@ def compress_reflectance(
         Prediction errors of the candidates if the object's lobes were chosen by cross-validation.
     observations, levels : sequence of path
         Of a thin sheet whose transmittance is measured, see `irodori.material.passed_light`.
-    made_of : dict, optional
-        Definition to store with the material, see `irodori.material.made_of`.
     """
     fitted = FittedTiles(tiles, definition.texels.height, definition.texels.width)
     calibration = Calibration.load(calibration_file)
@@ -281,8 +277,6 @@ def compress_reflectance(
             "mirror": mirror,
             "gloss_contradiction": fitted.gloss_contradiction,
         }
-        if made_of is not None:
-            out.attribute(MADE_OF, made_of)
         if sheet is not None:
             errors["transmittance"] = gathered.transmittance(sheet)
         constants = (compression.basis, n, k, mirror["weight"])

@@ -10,6 +10,7 @@ from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.colour.display import Display, make_display, srgb
 from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core.atomic_files import written_whole
+from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.core.store import Provenance
 from irodori.export.loss import LOSS, display_loss, stored_loss
@@ -53,7 +54,8 @@ def render_view(
     Raises
     ------
     InputError
-        If the view's eye is inside an object, a material reflects more light than falls on it, or there is no light.
+        If the view's eye is inside an object, a material reflects more light than falls on it, there is no light, or
+        a pixel of the rendered picture is not finite; no file is written then.
     """
     plan = read_plan(plan_file) if plan_file else None
     display = make_display(scene.display.device)
@@ -73,6 +75,7 @@ def render_view(
     radiance, figures = render_prepared(
         prepared(), view_name, tiles_folder=Path(exr).with_suffix(".tiles"), plan=plan, check=check, distance=check
     )
+    require_finite(radiance, exr)
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white
     if radiance.shape[-1] == 3:
@@ -106,6 +109,19 @@ def bake_light(
     renderer.baked.save(output, provenance)
 
 
+def require_finite(picture: np.ndarray, path) -> None:
+    """Refuse a picture, (height, width, n), with a number that is not finite; the message names the first pixel.
+
+    Raises
+    ------
+    InputError
+    """
+    bad = np.argwhere(~np.isfinite(picture).all(axis=-1))
+    if len(bad):
+        found = f"{len(bad)} pixels without a finite colour, the first in row {bad[0, 0]}, column {bad[0, 1]}"
+        raise InputError(path, "", found, "finite light in every pixel; please report this fault of the renderer")
+
+
 def write_picture(
     path, xyz: np.ndarray, white_xyz: np.ndarray, display: Display, bits: int = 8, judged_step: int = 1
 ) -> dict[str, float]:
@@ -113,7 +129,13 @@ def write_picture(
 
     The file states its loss by rounding to code values and by colours outside the display's gamut. It is measured on
     every ``judged_step``-th pixel of every ``judged_step``-th row.
+
+    Raises
+    ------
+    InputError
+        If a pixel is not finite.
     """
+    require_finite(xyz, path)
     linear = display.linear_rgb(xyz, white_xyz)
     pixels, gamut = display.encode(linear, bits)
     judged = np.s_[::judged_step, ::judged_step]

@@ -64,9 +64,10 @@ def resample(
     method : str
         ``linear``; ``sprague``, the fifth-order interpolation that CIE 167:2005 recommends for uniform steps, exact for
         polynomials of degree 4 at least two steps from the ends of the data and for linear data up to the ends;
-        ``average``, weighted by a triangle of ±5 nm, which keeps the power of a light's lines (the triangle is narrower
-        near the ends of the data); ``auto``, for reflectances: Sprague for uniform steps, linear otherwise, and linear
-        also for a spectrum that Sprague would make more negative than its own values.
+        ``average``, weighted by a triangle of ±5 nm, which keeps the power of a light's lines (beyond the ends of the
+        data, within the triangles of 400 and 700 nm, the end values continue); ``auto``, for reflectances: Sprague for
+        uniform steps, linear otherwise, and linear also for a spectrum that Sprague would make more negative than its
+        own values.
 
     Returns
     -------
@@ -188,13 +189,15 @@ def _sprague_matrix(wavelength_nm: tuple[float, ...]) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def _average_matrix(wavelength_nm: tuple[float, ...]) -> np.ndarray:
-    """Return the matrix, (61, n), that averages linear interpolation over a triangle around each grid wavelength."""
-    source = np.array(wavelength_nm)
+    """Return the matrix, (61, n), that averages linear interpolation over a triangle around each grid wavelength.
+
+    Beyond the ends of the data, their end values continue.
+    """
+    source = np.array([wavelength_nm[0] - STEP_NM, *wavelength_nm, wavelength_nm[-1] + STEP_NM])
     matrix = np.zeros((SAMPLES, source.size))
     for row, centre in zip(matrix, WAVELENGTH_NM, strict=True):
-        half = min(STEP_NM, centre - source[0], source[-1] - centre)
-        inside = source[(source > centre - half) & (source < centre + half)]
-        knots = np.unique(np.concatenate([[centre - half, centre, centre + half], inside]))
+        inside = source[np.abs(source - centre) < STEP_NM]
+        knots = np.unique(np.concatenate([[centre - STEP_NM, centre, centre + STEP_NM], inside]))
         widths = np.diff(knots)
         # Triangle times line is a parabola between knots, for which Simpson's rule is exact.
         points = np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])])
@@ -202,12 +205,12 @@ def _average_matrix(wavelength_nm: tuple[float, ...]) -> np.ndarray:
         weights[: knots.size - 1] += widths / 6.0
         weights[1 : knots.size] += widths / 6.0
         weights[knots.size :] += widths * 4.0 / 6.0
-        weights *= np.maximum(0.0, 1.0 - np.abs(points - centre) / half) if half > 0.0 else 1.0
-        if half <= 0.0:
-            points, weights = np.array([centre]), np.ones(1)
+        weights *= np.maximum(0.0, 1.0 - np.abs(points - centre) / STEP_NM)
         left = np.clip(np.searchsorted(source, points, side="right") - 1, 0, source.size - 2)
         part = (points - source[left]) / (source[left + 1] - source[left])
         np.add.at(row, left, weights * (1.0 - part))
         np.add.at(row, left + 1, weights * part)
         row /= row.sum()
-    return matrix
+    matrix[:, 1] += matrix[:, 0]
+    matrix[:, -2] += matrix[:, -1]
+    return matrix[:, 1:-1]

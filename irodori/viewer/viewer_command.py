@@ -56,18 +56,18 @@ def write_scene(name: str, output: Path | None, configs: Sequence[str] = ()) -> 
     Raises
     ------
     InputError
-        If there is no such scene, a result is missing, or an object's definition has changed since its material was
-        made.
+        If there is no such scene, a result is missing, or the definition of an object or an environment has
+        changed since its material or its light was made.
     """
     from irodori.config.pages import page_rooms, page_views
     from irodori.config.placed_names import materials_of
-    from irodori.export.export_sources import material_of, result
+    from irodori.export.export_sources import light_of, material_of
     from irodori.viewer.stage import SceneSources, export_viewer
 
     loaded = load_named("scenes", name, configs)
     scene = loaded.scenes[name]
     files = [material_of(loaded, item, configs) for item in materials_of(scene)]
-    lights = [result(Path(f"results/environments/{room}.h5"), configs) for room in page_rooms(scene)]
+    lights = [light_of(loaded, room, configs) for room in page_rooms(scene)]
     sources = SceneSources(
         name,
         scene,

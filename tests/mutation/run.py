@@ -78,7 +78,7 @@ ROOMS = {
         ("unit/test_environment.py", "unit/test_light_sources.py", "unit/test_irradiance.py",
          "unit/test_blurred_light.py", "unit/test_mirror_ball.py", "unit/test_light_recovery.py",
          "unit/test_room_charts.py", "unit/test_known_lamps.py", "unit/test_whole_sphere.py",
-         "unit/test_clipped_lamps.py"),
+         "unit/test_clipped_lamps.py", "unit/test_panorama_doubts.py"),
     ),
     "evaluation": (
         ("evaluation",),

@@ -89,5 +89,11 @@ def test_the_share_outside_counts_pixels_and_not_channels(over, under):
         assert encoded.reshape(-1, 3)[20, 1] == 0
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_number_that_is_not_finite_has_no_code_value(value):
+    with pytest.raises(ValueError, match="not finite"):
+        srgb().encode(np.array([[0.5, value, 0.5], [0.5, 0.5, 0.5]]))
+
+
 def test_rounding_at_the_ends_is_not_counted_as_outside():
     assert srgb().encode(np.array([[1.0 + 1e-6, -1e-6, 0.5]]))[1].outside == 0

@@ -19,15 +19,15 @@ from tm27_files import tm27
 from benchmarks.written_pictures import loss_stated_in
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.colour.display import standard_display
-from irodori.config.photograph_sets import material_definition, material_files
+from irodori.config.photograph_sets import light_definition, light_files, material_definition, material_files
 from irodori.config.project import load_named
 from irodori.core import custody, store
 from irodori.core.errors import InputError
+from irodori.core.made_of import made_of
 from irodori.export.export_command import TARGETS, command_parser, export_named, main
 from irodori.export.export_sources import find
 from irodori.export.gltf_loss import EVEN, HIGHLIGHT, LAMP, SPECTRA, ParsedGltf
 from irodori.export.pictures import write_display_picture, write_spectral_exr
-from irodori.material.made_of import made_of
 from irodori.rendering.stage import write_picture
 from irodori.viewer import viewer_command
 
@@ -116,15 +116,18 @@ def test_an_object_is_exported_with_a_preview_beside_it(project, to):
 def of_today(root, name):
     """Store today's definition with the small material of an object, as its rule does."""
     definition = load_named("objects", name).objects[name]
-    own = made_of(material_definition(definition), material_files(definition))
-    file = root / f"results/{name}/material.h5"
+    state(root / f"results/{name}/material.h5", made_of(material_definition(definition), material_files(definition)))
+
+
+def state(file, own):
+    """Store a definition with a result."""
     with h5py.File(file, "r+") as out:
         out.attrs["made_of"] = "json:" + json.dumps(own)
     custody.accept(file)
 
 
-def edited(root, name, **keys):
-    file = root / f"config/objects/{name}.yaml"
+def edited(root, name, kind="objects", **keys):
+    file = root / f"config/{kind}/{name}.yaml"
     file.write_text(yaml.safe_dump(yaml.safe_load(file.read_text(encoding="utf-8")) | keys), encoding="utf-8")
 
 
@@ -140,6 +143,23 @@ def test_a_material_is_refused_after_its_definition_has_changed(project, capsys,
     assert "made before shape, lobes of config/objects/tile-plate.yaml changed" in said
     assert "accepted: what 'snakemake --cores 2 results/tile-plate/material.h5' makes" in said and said.count("\n") == 1
     assert viewer_command.main(["still-life"]) == 2 and "made before shape" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["environments/classroom", "still-life"])
+def test_a_light_is_refused_after_its_definition_has_changed(project, capsys, name):
+    root, _ = project
+    place = load_named("environments", "classroom").environments["classroom"]
+    light = root / "results/environments/classroom.h5"
+    find(name)  # of an earlier version, which states nothing
+    state(light, made_of(light_definition(place), light_files(place)))
+    edited(root, "classroom", "environments", description="Other words.")
+    find(name)
+    edited(root, "classroom", "environments", lamps=["FL2"], image={"width": 64, "height": 32})
+    accepted = "accepted: what 'snakemake --cores 2 results/environments/classroom.h5' makes"
+    with pytest.raises(InputError, match=r"made before image, lamps of config/environments/classroom\.yaml") as error:
+        find(name)
+    assert accepted in str(error.value)
+    assert viewer_command.main(["still-life"]) == 2 and "made before image, lamps" in capsys.readouterr().err
 
 
 def test_a_material_is_refused_after_a_table_of_its_definition_has_changed(project):

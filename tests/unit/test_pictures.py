@@ -86,6 +86,17 @@ def test_a_picture_for_a_display_states_what_rounding_and_the_gamut_take(tmp_pat
         assert off.mean > 3.0 if name == "outside" else off.mean < (0.5 if bits == 8 else 0.002)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_picture_that_is_not_finite_is_refused_with_its_first_pixel(tmp_path, value):
+    xyz = np.full((4, 6, 3), 50.0)
+    xyz[2, 5, 1] = xyz[3, 0] = value
+    with pytest.raises(
+        InputError, match=r"a\.png: found 2 pixels without a finite colour, the first in row 2, column 5"
+    ):
+        write_picture(tmp_path / "a.png", xyz, np.array([95.0, 100.0, 109.0]), srgb())
+    assert not list(tmp_path.iterdir())
+
+
 def oiio_pixels(path):
     source = oiio.ImageInput.open(str(path))
     pixels = source.read_image(source.spec().format).astype(np.float64)
@@ -228,6 +239,28 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
         render(made(Scene, scene | {"integrator": {"kind": "interactive", "light_maps": True}}), *arguments)
     with pytest.raises(ValueError, match="kinds interactive, reference"):
         render(made(Scene, scene | {"integrator": {"kind": "bidirectional"}}), *arguments)
+
+
+def test_a_fault_of_the_renderer_is_said_before_anything_is_written(tmp_path, monkeypatch):
+    constant_light(1.0).save(tmp_path / "light.h5", store.Provenance("test"))
+    material(1.0).save(tmp_path / "white.h5", store.Provenance("test"))
+    scene = {
+        "image": {"width": 3, "height": 3}, "display": DISPLAY,
+        "objects": [{"object": "white", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}],
+        "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
+                        "field_of_view_deg": 0.1}},
+    }  # fmt: skip
+    radiance = np.ones((3, 3, 61), np.float32)
+    radiance[1, 2, 7] = np.nan
+    monkeypatch.setattr("irodori.rendering.stage.render_prepared", lambda *_, **__: (radiance, {}))
+    with pytest.raises(
+        InputError, match=r"v\.exr: found 1 pixels without a finite colour, the first in row 1, column 2"
+    ):
+        render_view(
+            made(Scene, scene), "v", [made(ObjectShape, {"kind": "plate", "width_mm": 100.0, "height_mm": 100.0})],
+            [tmp_path / "white.h5"], tmp_path / "light.h5", **outputs_of(tmp_path, "v"), options=OPTIONS,
+        )  # fmt: skip
+    assert {file.name for file in tmp_path.iterdir()} == {"light.h5", "white.h5"}
 
 
 def test_a_scene_in_the_dark_is_refused_before_anything_is_written(tmp_path):

@@ -64,6 +64,30 @@ def test_photographs_do_not_depend_on_what_is_known_of_spectra(definitions):
     assert after.light_error_percent(job(camera="d5100-comb")) == 1.0
 
 
+def test_photographs_and_truth_do_not_depend_on_tables_for_calibration_and_recovery(definitions):
+    """Tables that only these read are no files of a session."""
+    camera, place = definitions.cameras["d5100-comb"], definitions.environments["classroom"]
+    table = camera.comb_filter.transmittance
+    assert table in PhotographSets(definitions).tables_of_calibration(job(camera="d5100-comb"))
+    room = dataclasses.replace(place, lamps=("config/lamps/room.csv",))
+    sets = PhotographSets(dataclasses.replace(definitions, environments={"classroom": room}))
+    asked = [job(object="tile-plate"), job(camera="d5100-comb"), job(environment="classroom"),
+             job(scene="still-life", photograph="front")]  # fmt: skip
+    for one in asked:
+        files = sets.files_of_session(one)
+        assert "config/lamps/halogen-measured.csv" in files and len(files) == len(set(files))
+        assert table not in files and "config/lamps/room.csv" not in files
+
+
+def test_descriptions_are_words_alone(definitions):
+    plain = definitions.without_descriptions().plain()
+    kinds = ("scenes", "objects", "environments", "cameras", "rigs")
+    for kind in kinds:
+        for name, one in getattr(definitions, kind).items():
+            whole = one.plain()
+            assert whole.pop("description", None) and plain[kind][name] == whole
+
+
 def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
     plate = job(object="tile-plate", tile="001")
     asked = {
@@ -75,7 +99,9 @@ def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
         "part": scenes.part("objects", "display")(job(scene="still-life")),
     }
     assert json.loads(json.dumps(asked)) == asked
-    assert asked["camera"] == definitions.cameras["d5100-comb"].plain()
+    camera = definitions.cameras["d5100-comb"].plain()
+    assert {"calibration", "comb_filter"} <= camera.keys() - asked["camera"].keys()
+    assert all(value == camera[key] for key, value in asked["camera"].items())
     assert asked["rig"] == definitions.rigs["virtual"].plain()
     scene = definitions.scenes["still-life"].plain()
     assert asked["part"] == {"objects": scene["objects"], "display": scene["display"]}

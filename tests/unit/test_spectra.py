@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import made
 
+from irodori.calibration.filter_table import read_filter
+from irodori.calibration.filters import read_filters
 from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.config.models import RefractiveIndex
 from irodori.core.errors import InputError
@@ -20,12 +22,14 @@ from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import (
     camera_sensitivities,
     chart_spectra,
+    light,
     read_spectra,
     refractive_index,
     spectrum,
 )
 from irodori.spectra.resampling import resample
 from irodori.spectra.tables import wide_table
+from irodori.spectra.white_reference import white_reflectance
 
 ROOT = Path(__file__).resolve().parents[2]
 COEFFICIENT = st.floats(-10.0, 10.0)
@@ -99,10 +103,49 @@ def test_sprague_gives_a_polynomial_of_degree_four_exactly_within_and_a_line_eve
 @given(
     a=COEFFICIENT, b=COEFFICIENT, step=st.floats(0.3, 5.0), start=st.floats(380.0, 400.0), end=st.floats(700.0, 720.0)
 )
-def test_averaging_a_line_gives_the_line_at_the_ends_too(a, b, step, start, end):
+def test_averaging_a_line_gives_the_line_and_its_end_values_beyond(a, b, step, start, end):
     wavelengths = np.append(np.arange(start, end - 0.1, step), end)
     result = resample(wavelengths, a + b * (wavelengths - 550.0) / 100, "made up", method="average")
-    assert result == pytest.approx(a + b * (WAVELENGTH_NM - 550.0) / 100, abs=1e-9)
+    # The mean over a triangle of what a level end differs by from the line that it ends.
+    below, above = (
+        np.maximum(5.0 - beyond, 0.0) ** 3 / 150.0 for beyond in (WAVELENGTH_NM - start, end - WAVELENGTH_NM)
+    )
+    assert result == pytest.approx(a + b * (WAVELENGTH_NM + below - above - 550.0) / 100, abs=1e-9)
+
+
+@pytest.mark.parametrize("line_nm", [403.0, 404.66, 696.5])
+def test_a_line_near_the_end_of_a_table_keeps_its_power(line_nm):
+    """As that of mercury at 404.7 nm in a table from 400 nm on: the whole table says the same."""
+    whole, cut = np.arange(380.0, 781.0), np.arange(400.0, 701.0)
+
+    def averaged(wavelengths):
+        power = 1.0 + 100.0 * np.exp(-0.5 * (wavelengths - line_nm) ** 2)
+        return resample(wavelengths, power, "made up", method="average")
+
+    wanted = averaged(whole)
+    assert wanted[[0, -1]].max() > 3.0
+    assert averaged(cut) == pytest.approx(wanted, rel=0.03)
+
+
+_ONE, _BANDS, _INDEX = "wavelength_nm,x\n", "wavelength_nm,r,g,b\n", "wavelength_nm,n,k\n"
+
+
+@pytest.mark.parametrize(("reader", "header", "row"), [
+    (light, _ONE, "1"),
+    (spectrum, _ONE, "0.5"),
+    (white_reflectance, _ONE, "0.5"),
+    (chart_spectra, _ONE, "0.5"),
+    (read_filters, _ONE, "0.5"),
+    (lambda path: read_filter(path, None, 2.0), _ONE, "0.5"),
+    (camera_sensitivities, _BANDS, "1,1,1"),
+    (lambda path: refractive_index(made(RefractiveIndex, {"file": path})), _INDEX, "1.5,0"),
+], ids=["light", "surface", "white", "chart", "filters", "filter", "camera", "index"])  # fmt: skip
+@pytest.mark.parametrize(("first", "last"), [(402, 780), (380, 698)])
+def test_every_kind_of_table_that_does_not_cover_the_grid_is_refused_alike(tmp_path, reader, header, row, first, last):
+    path = tmp_path / "short.csv"
+    path.write_text(header + "".join(f"{nm},{row}\n" for nm in range(first, last + 1, 2)))
+    error = refusal(reader, str(path))
+    assert error.found == f"{first}..{last} nm" and error.accepted == "a range that covers 400..700 nm"
 
 
 @given(seed=st.integers(0, 2**32 - 1), step=st.sampled_from([5.0, 8.0, 10.0, 20.0]))

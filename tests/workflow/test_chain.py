@@ -17,14 +17,14 @@ from written_files import KINDS, PAGE, of_page, of_results, tables
 from benchmarks.written_pictures import spectra_in
 from irodori.calibration.verdict import TOLERANCES
 from irodori.config.definitions import load_definitions
-from irodori.config.photograph_sets import material_definition
+from irodori.config.photograph_sets import light_definition, material_definition
 from irodori.core.errors import InputError
+from irodori.core.made_of import made_of, refuse_changed_definition
 from irodori.core.store import open_file
 from irodori.core.units import require_unit
 from irodori.core.yaml_files import read_yaml
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import RegistrationRow, read_rows
-from irodori.material.made_of import made_of, refuse_changed_definition
 from irodori.material.material_file import Material
 from irodori.report.page import typical_gloss_text
 from irodori.viewer.browser import browser_command
@@ -158,6 +158,14 @@ def test_a_material_states_the_definition_that_it_was_made_of(finished):
             refuse_changed_definition(file, now | {"mirror_weight": 0.9}, Path(name), "snakemake")
 
 
+def test_a_light_states_the_definition_that_it_was_made_of(finished):
+    place = load_definitions(read_yaml(finished / "config/config.yaml"), finished).environments["classroom"]
+    now, file = made_of(light_definition(place), ()), finished / "results/environments/classroom.h5"
+    refuse_changed_definition(file, now, Path("classroom.yaml"), "snakemake")
+    with pytest.raises(InputError, match=r"made before lamps of classroom\.yaml changed"):
+        refuse_changed_definition(file, now | {"lamps": ["FL2"]}, Path("classroom.yaml"), "snakemake")
+
+
 def test_a_sphere_that_was_turned_over_is_known_on_both_halves(finished):
     folder = finished / "results/leaf-sphere"
     found, truth = Material.load(folder / "material.h5"), Material.load(folder / "truth.h5")
@@ -274,6 +282,23 @@ def test_one_objects_file_reruns_that_object_and_the_place_of_those_photographed
         "render_view",
     } <= {rule for rule, _ in jobs}
     assert not {"calibrate_camera", "prepare_environment", "capture_camera"} & {rule for rule, _ in jobs}
+
+
+def test_words_for_people_make_only_the_page_again(again):
+    for file in ("objects/leaf-sphere", "cameras/d5100-comb", "rigs/virtual", "environments/classroom"):
+        edit(again / f"config/{file}.yaml", {"description": "other words"})
+    assert not planned(snakemake(again, "--dry-run"))
+    edit(again / "config/scenes/still-life.yaml", {"description": "another title"})
+    rules = {rule for rule, _ in planned(snakemake(again, "--dry-run"))}
+    assert rules == {"encode_viewer", "export_viewer", "write_report", "all"}
+
+
+def test_what_no_photograph_depends_on_takes_none_again(again):
+    edit(again / "config/objects/leaf-sphere.yaml", {"lobes": ["gaussian"], "plan": {"count": 9}})
+    edit(again / "config/cameras/d5100-comb.yaml", {"calibration.texel_photographs": 8})
+    rules = {rule for rule, _ in planned(snakemake(again, "--dry-run"))}
+    assert {"calibrate_camera", "fit_brdf"} <= rules
+    assert not [rule for rule in rules if rule.startswith(("capture", "ingest", "write_true", "write_truth"))]
 
 
 def test_a_patch_in_the_frame_takes_the_place_of_the_estimate(again):

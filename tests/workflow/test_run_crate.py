@@ -130,6 +130,25 @@ def test_a_crate_is_zipped_and_never_written_over_something(project, tmp_path, c
     assert "found something that is there already" in capsys.readouterr().out
 
 
+def test_a_run_in_another_folder_than_its_workflow_has_a_crate_with_both(again, tmp_path, capsys):
+    """As after `snakemake --directory`: the project's folder has no workflow."""
+    assert crate(again) == 1 and not (again / "ro-crate-metadata.json").exists()
+    said = capsys.readouterr().out
+    assert f"{ROOT / 'workflow/Snakefile'}: found a workflow that lies outside the project's folder" in said
+    assert "accepted: --output" in said
+    moved = tmp_path / "elsewhere"
+    shutil.copytree(ROOT / "workflow", moved, ignore=shutil.ignore_patterns("__pycache__"))
+    (moved / "Snakefile").rename(moved / "Another.smk")
+    for name, options in (("beside", ()), ("given", ("--snakefile", moved / "Another.smk"))):
+        assert crate(again, "--output", tmp_path / name, *options) == 0
+        files = [one for one in graph_of(tmp_path / name / "ro-crate-metadata.json").values() if "File" in one["@type"]]
+        for one in files:
+            assert one["sha256"] == hashlib.sha256((tmp_path / name / one["@id"]).read_bytes()).hexdigest()
+        names = {one["@id"] for one in files}
+        assert {"workflow/Snakefile", "workflow/rules/fit.smk", "workflow/scripts/fit_brdf.py",
+                "config/config.yaml", "results/still-life/front.exr"} <= names  # fmt: skip
+
+
 def test_a_run_that_cannot_be_vouched_for_has_no_crate(project, capsys):
     def said() -> str:
         capsys.readouterr()
@@ -150,8 +169,8 @@ def test_a_run_that_cannot_be_vouched_for_has_no_crate(project, capsys):
     edit(project / "config/config.yaml", {"publication": {"photographer_orcid": "0000-0002-1825-0098"}})
     assert "publication.photographer_orcid: found 0000-0002-1825-0098, a last digit of 8" in said()
     edit(project / "config/config.yaml", {"publication": {}})
-    shutil.rmtree(project / "workflow")
-    assert "workflow/Snakefile: found no such file" in said()
-    shutil.copytree(ROOT / "workflow", project / "workflow")
+    capsys.readouterr()
+    assert crate(project, "--snakefile", project / "workflow/Snakefiles") == 1
+    assert "workflow/Snakefiles: found no such file; accepted: the workflow's Snakefile" in capsys.readouterr().out
     shutil.rmtree(project / ".snakemake")
     assert "found no notes of jobs" in said()

@@ -49,7 +49,7 @@ rule capture_camera:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
         rig=sets.rigs_taken,
     params:
-        camera=lookup(within=config["cameras"], dpath="{camera}"),
+        camera=sets.camera,
         rig=sets.rig,
         rig_name=sets.rig_of,
         table=sets.table,

@@ -1,3 +1,4 @@
+from irodori.config.definition import as_plain
 from irodori.config.definitions import load_definitions
 from irodori.config.photograph_sets import PhotographSets
 from irodori.config.reports import Reports
@@ -10,10 +11,15 @@ try:
     # The repository's own file first, then those of the command line, which override it.
     files = sorted(map(str, workflow.configfiles), key=lambda file: file != "config/config.yaml")
     loaded = load_definitions(config, Path(), files)
-    plain = loaded.plain()
-    config.update(plain.pop("config"), **plain)  # where `lookup` finds them, with every default
     # Apart from their scenes: other words change no picture.
-    config["lessons"] = {name: scene.pop("lesson", None) for name, scene in config["scenes"].items()}
+    words = {
+        name: {"description": one.description, "lesson": as_plain(one.lesson)} for name, one in loaded.scenes.items()
+    }
+    loaded = loaded.without_descriptions()
+    plain = loaded.plain()
+    config.update(plain.pop("config"), **plain, words=words)  # where `lookup` finds them, with every default
+    for scene in config["scenes"].values():
+        scene.pop("lesson", None)
     sets = PhotographSets(loaded)
     scenes = SceneFiles(sets)
     reports = Reports(scenes)

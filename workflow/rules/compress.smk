@@ -25,6 +25,6 @@ rule compress_reflectance:
         compress=lookup(within=config, dpath="compress"),
         lights=lookup(within=config["report"], dpath="lights"),
         user_files=ledger.content(sets.material_files),
-        code=code_hash("irodori.material.stage"),
+        code=code_hash("irodori.material.stage", "irodori.core.made_of"),
     script:
         "../scripts/compress_reflectance.py"

@@ -17,15 +17,9 @@ rule prepare_environment:
         mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
         compress=lookup(within=config, dpath="environment"),
-        source=lookup(within=config["environments"], dpath="{environment}/source"),
-        image=lookup(within=config["environments"], dpath="{environment}/image", default=None),
+        definition=sets.light_definition,
         photographed=sets.is_photographed,
-        room_charts=lookup(within=config["environments"], dpath="{environment}/room_charts", default={}),
-        lamps=lookup(within=config["environments"], dpath="{environment}/lamps", default=[]),
-        lamps_error_percent=lookup(
-            within=config["environments"], dpath="{environment}/lamps_error_percent", default=None
-        ),
         user_files=ledger.content(sets.files_of_light),
-        code=code_hash("irodori.light.stage"),
+        code=code_hash("irodori.light.stage", "irodori.core.made_of"),
     script:
         "../scripts/prepare_environment.py"

@@ -14,7 +14,7 @@ rule write_truth:
     resources:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        definition=lookup(within=config["objects"], dpath="{object}"),
+        definition=sets.true_object,
         camera=sets.camera,
         rig=sets.rig,
         user_files=ledger.content(sets.files_of_session),

@@ -19,7 +19,7 @@ rule encode_viewer:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
         scene=lookup(within=config["scenes"], dpath="{scene}"),
-        lesson=lookup(within=config["lessons"], dpath="{scene}"),
+        words=lookup(within=config["words"], dpath="{scene}"),
         shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
         user_files=ledger.content(scenes.page_files),

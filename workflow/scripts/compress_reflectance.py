@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 from irodori.config.parts import Surface
+from irodori.core.made_of import made_of
 from irodori.core.run_rule import run_rule
 from irodori.material.lobe_choices import read_choice
-from irodori.material.made_of import made_of
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.material.stage import compress_reflectance
 
@@ -17,6 +19,5 @@ with run_rule(snakemake) as provenance:
         lobe_choice=read_choice(snakemake.input.lobes),
         observations=snakemake.input.observations,
         levels=snakemake.input.levels,
-        made_of=made_of(definition, snakemake.input.user_files),
-        provenance=provenance,
+        provenance=replace(provenance, made_of=made_of(definition, snakemake.input.user_files)),
     )

@@ -7,7 +7,7 @@ with run_rule(snakemake):
     encode_viewer(
         SceneSources(
             snakemake.wildcards.scene,
-            Scene.of({**snakemake.params.scene, "lesson": snakemake.params.lesson}),
+            Scene.of({**snakemake.params.scene, **snakemake.params.words}),
             tuple(typed_shapes(snakemake.params.shapes)),
             tuple(snakemake.input.materials),
             tuple(snakemake.input.environments),

@@ -14,7 +14,7 @@ from irodori.config.models import (
     Object,
     TrueMaterial,
 )
-from irodori.config.parts import PhotographedObject
+from irodori.config.parts import PhotographedObject, TrueObject
 from irodori.geometry.shapes.shape import Shape
 from irodori.reflection.coat import COUPLED
 from irodori.reflection.fresnel import fresnel
@@ -72,7 +72,7 @@ class Sample:
     is_coupled: bool = False
 
     @classmethod
-    def from_definition(cls, definition: Object | PhotographedObject) -> "Sample":
+    def from_definition(cls, definition: Object | PhotographedObject | TrueObject) -> "Sample":
         """Return the sample that the ``virtual`` block of an object's definition describes."""
         virtual = definition.virtual
         if virtual is None:

@@ -264,6 +264,34 @@ window.Irodori = window.Irodori || {};
     return parts.reduce((sum, one) => sum + one, 0) / half;
   }
 
+  // Sprague's interpolation between points [place, value] of even steps, as `_sprague_matrix` of
+  // irodori/spectra/resampling.py computes it: a polynomial through six values, of which two beyond each end are made
+  // of the first or the last six (CIE 167:2005).
+  const POLYNOMIAL = [
+    [0, 0, 24, 0, 0, 0],
+    [2, -16, 0, 16, -2, 0],
+    [-1, 16, -30, 16, -1, 0],
+    [-9, 39, -70, 66, -33, 7],
+    [13, -64, 126, -124, 61, -12],
+    [-5, 25, -50, 50, -25, 5],
+  ];
+  const ENDS = [
+    [884, -1960, 3033, -2648, 1080, -180],
+    [508, -540, 488, -367, 144, -24],
+  ];
+  const inner = (a, b) => a.reduce((sum, x, i) => sum + x * b[i], 0);
+
+  function sprague(points, at) {
+    const values = points.map(([, value]) => value),
+      beyond = (six) => ENDS.map((row) => inner(row, six) / 209),
+      all = [...beyond(values), ...values, ...beyond(values.slice(-6).reverse()).reverse()],
+      last = points.length - 1,
+      place = (last * (at - points[0][0])) / (points[last][0] - points[0][0]),
+      first = Math.min(Math.floor(place), last - 1),
+      around = all.slice(first, first + 6);
+    return POLYNOMIAL.reduceRight((sum, row) => sum * (place - first) + inner(row, around) / 24, 0);
+  }
+
   // Rows of wavelength in nm and power, by increasing wavelength. Cells are separated by semicolons or white space, and
   // may then have decimal commas, or else by commas; lines that begin with no number are words.
   function tableRows(text, label) {
@@ -292,6 +320,9 @@ window.Irodori = window.Irodori || {};
     return numbers;
   }
 
+  // As in irodori/spectra/tables.py.
+  const MOST_STEP_NM = 20;
+
   // A table of wavelength in nm and power, at 400, 405, ... 700 nm.
   I.powerOfTable = function (text, label) {
     const rows = tableRows(text, label),
@@ -300,15 +331,25 @@ window.Irodori = window.Irodori || {};
       const found = last < 1 ? "–" : `${rows[0][0]}–${rows[last][0]} nm`;
       throw new I.Refusal("bad_table_span", { file: label, found: found });
     }
+    const steps = rows.slice(1).map(([nm], i) => nm - rows[i][0]),
+      gap = steps.findIndex((step, i) => step > MOST_STEP_NM + 1e-9 && rows[i + 1][0] > 400 && rows[i][0] < 700);
+    if (gap >= 0) throw new I.Refusal("bad_table_gap", { file: label, nm: rows[gap][0], step: MOST_STEP_NM });
     if (rows.some((row) => row[1] < 0) || !rows.some((row) => row[1] > 0))
       throw new I.Refusal("bad_table_power", { file: label });
     // Lines of lamps in a table finer than the samples would fall between them.
     const fine = rows.filter(([nm]) => nm >= 400 && nm <= 700).length > 61;
-    const power = Array.from({ length: 61 }, (_, i) => {
-      const nm = 400 + 5 * i,
-        half = fine ? Math.min(5, nm - rows[0][0], rows[last][0] - nm) : 0;
-      return half > 0 ? triangleMean(rows, nm, half) : I.onLine(rows, nm);
-    });
+    const even = rows.length >= 6 && Math.max(...steps) - Math.min(...steps) <= 1e-3,
+      on = (value) => Array.from({ length: 61 }, (_, i) => value(400 + 5 * i)),
+      straight = (nm) => I.onLine(rows, nm);
+    let power;
+    if (fine) {
+      // Beyond the ends of the table, its end values continue.
+      const more = [[rows[0][0] - 5, rows[0][1]], ...rows, [rows[last][0] + 5, rows[last][1]]];
+      power = on((nm) => triangleMean(more, nm, 5));
+    } else {
+      power = on(even ? (nm) => sprague(rows, nm) : straight);
+      if (Math.min(...power) < 0) power = on(straight);
+    }
     const top = Math.max(...power);
     if (!(top > 0)) throw new I.Refusal("bad_table_power", { file: label });
     return { power: power.map((one) => Number((one / top).toPrecision(5))), label: label.slice(0, 100) };

@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import re
+from contextlib import nullcontext
 from importlib import resources
 
 import pytest
@@ -18,6 +19,7 @@ from irodori.config.cross_checks.lessons import check_lesson
 from irodori.config.models import Scene
 from irodori.config.pages import MOST_LAMPS
 from irodori.config.validation import validate
+from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
 from irodori.spectra.published import light
 from irodori.viewer.lesson import lesson_for_page
@@ -447,6 +449,12 @@ TABLES = {
     "commas and spaces": "".join(f"{nm}, {10 + nm / 7:.3f}\n" for nm in GRID),
     "1 nm": "".join(f"{nm},{1 + 100 * (nm == 546)}\n" for nm in range(390, 711)),
     "from 400 to 700 nm": "".join(f"{nm / 2},{1 + nm % 7}\n" for nm in range(800, 1401)),
+    **{f"{step} nm": "".join(f"{nm},{2 + math.sin(nm / 23) + math.cos(nm / 9):.4f}\n" for nm in range(380, 781, step))
+       for step in (10, 20)},
+    "20 nm, to the ends": "".join(f"{nm},{1 + (nm - 400) ** 2 % 77}\n" for nm in range(400, 701, 20)),
+    "rounded thirds": "".join(f"{380 + 20 * i / 3:.3f},{1 + math.sin(i / 2):.4f}\n" for i in range(61)),
+    "a line, where Sprague's would be negative": "".join(f"{nm},{100 * (nm == 540)}\n" for nm in range(400, 701, 20)),
+    "uneven, coarse": "".join(f"{nm},{nm % 90}\n" for nm in (390, 400, 410, *range(430, 711, 20))),
     "uneven": "".join(f"{nm:.2f},{2 + math.sin(nm):.4f}\n" for nm in UNEVEN),
     **{f"0.3 nm, line at {line}": "".join(
         f"{380 + 0.3 * i:.1f},{0.001 + math.exp(-(((380 + 0.3 * i - line) / 0.25) ** 2)):.5f}\n" for i in range(1134))
@@ -481,6 +489,25 @@ def test_tables_of_light_that_can_be_read_in_two_ways_are_refused(visit):
             head + rows,
         )
         assert sentence in said
+
+
+@pytest.mark.parametrize(("wavelengths", "refused"), [
+    ([*range(380, 531, 10), *range(560, 741, 10)], True),
+    ([400, 421, *range(440, 701, 20)], True),
+    ([*range(400, 701, 20)], False),
+    ([300, 390, *range(400, 701, 20), 900], False),  # what is beyond 400 to 700 nm may have gaps
+])  # fmt: skip
+def test_tables_of_light_with_gaps_are_refused_as_the_program_refuses_them(visit, tmp_path, wavelengths, refused):
+    text = "".join(f"{nm},1\n" for nm in wavelengths)
+    (tmp_path / "light.spd").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="no sample for") if refused else nullcontext():
+        light(str(tmp_path / "light.spd"))
+    said = visit().page.evaluate(
+        "(text) => { try { return Irodori.powerOfTable(text, 'x.csv').power.join(); }"
+        " catch (error) { return Irodori.sentence(error); } }",
+        text,
+    )
+    assert ("has no row for more than 20 nm after" in said) is refused
 
 
 # ---- the teacher

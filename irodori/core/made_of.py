@@ -1,4 +1,4 @@
-"""Definition from which a material was made, stored in its file, so that it is not combined with another one."""
+"""Definition from which a material or a light was made, stored in its file, so that no other is combined with it."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -8,9 +8,6 @@ from irodori.core import store
 from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
 from irodori.core.provenance import config_hash
-
-#: Attribute of a material's file.
-MADE_OF = "made_of"
 
 
 def made_of(definition: Mapping[str, Any], files: Iterable[str]) -> dict[str, Any]:
@@ -25,20 +22,19 @@ def made_of(definition: Mapping[str, Any], files: Iterable[str]) -> dict[str, An
 
 
 def refuse_changed_definition(path: Path, now: Mapping[str, Any], definition_file: Path, command: str) -> None:
-    """Refuse a material if its object's definition has changed since.
+    """Refuse a material or a light if the definition of its object or its environment has changed since.
 
-    A material that states no definition, because an earlier version or no rule wrote it, is accepted.
+    A file that states no definition, because an earlier version or no rule wrote it, is accepted.
 
     Parameters
     ----------
     path : path
-        File of the material.
     now : mapping
         What `made_of` returns today.
     definition_file : path
-        File of the object's definition, for the error message.
+        File of the definition, for the error message.
     command : str
-        Command that makes the material anew, for the error message.
+        Command that makes the result anew, for the error message.
 
     Raises
     ------
@@ -46,10 +42,10 @@ def refuse_changed_definition(path: Path, now: Mapping[str, Any], definition_fil
         The message names the keys that have changed.
     """
     with store.open_unread(path) as file:
-        if not file.has_attribute(MADE_OF):
+        if not file.has_attribute(store.MADE_OF):
             return
-        then = file.attribute(MADE_OF, dict)
+        then = file.attribute(store.MADE_OF, dict)
     changed = [key for key in now if config_hash({key: now[key]}) != config_hash({key: then.get(key)})]
     if changed:
-        found = f"a material made before {', '.join(changed)} of {definition_file} changed"
-        raise InputError(path, MADE_OF, found, f"what '{command}' makes of the definition of today")
+        found = f"a result made before {', '.join(changed)} of {definition_file} changed"
+        raise InputError(path, store.MADE_OF, found, f"what '{command}' makes of the definition of today")
