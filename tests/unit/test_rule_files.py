@@ -12,9 +12,6 @@ from irodori.config import models, parts
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.config.scene_files import SceneFiles
 from irodori.core.errors import InputError
-from irodori.fitting.solvers import FitOptions
-from irodori.ingest.ingest_options import IngestOptions
-from irodori.material.principal_components.basis_count import CompressOptions
 
 
 def job(**wildcards):
@@ -108,19 +105,6 @@ def test_scripts_make_the_parts_of_what_the_snakefile_gives(sets, scenes):
     )
     assert models.ScenePhotograph.of(scenes.photograph(still_life)) == scene.photographs["front"]
     assert models.Camera.of(sets.camera(still_life)).optics == sets.loaded.cameras[whole.camera].optics
-
-
-def test_options_of_stages_have_the_defaults_of_the_configuration():
-    """Three stages check their options themselves: their classes repeat defaults, which must not drift apart."""
-    for own, block in (
-        (FitOptions(), models.Fit()),
-        (IngestOptions(), models.Ingest()),
-        (CompressOptions(), models.Compress()),
-    ):
-        for field in dataclasses.fields(own):
-            if field.name not in ("bounds", "coat", "lamp_radius_deg", "lobes", "registered"):
-                assert getattr(own, field.name) == getattr(block, field.name), field.name
-    assert {name: FitOptions().limits(name) for name in vars(models.FitBounds())} == vars(models.FitBounds())
 
 
 def test_tiles_cover_the_texture(sets, definitions):

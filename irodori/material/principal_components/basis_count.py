@@ -8,15 +8,16 @@ import numba
 import numpy as np
 
 from irodori.colour.colorimetry import summary
+from irodori.config.definition import check_choices
+from irodori.config.models import Compress
 from irodori.core import store
 from irodori.jit.half_precision import half_from_single
 from irodori.material.coefficients import (
     from_half,
     half_scale,
-    require_storage,
     reserve_coefficients,
 )
-from irodori.material.principal_components.decomposition import WEIGHTINGS, Decomposition, decompose
+from irodori.material.principal_components.decomposition import Decomposition, decompose
 from irodori.material.principal_components.negative_spectra import Negative, count_negative
 from irodori.material.principal_components.pixel_tiles import Tiles
 from irodori.material.principal_components.repeated_reflection import colour_error
@@ -28,36 +29,16 @@ _PIECE = 4096  # pixels whose colours are compared together
 _DEVIATIONS = 2.33  # standard deviations under which a sample's mean or percentile stays in 99 of 100 pictures
 
 
-@dataclass(frozen=True)
-class CompressOptions:
-    """Options of compression: the keys of ``compress`` in the configuration.
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class CompressOptions(Compress):
+    """The ``compress`` block of the configuration.
 
-    Parameters
-    ----------
-    target_delta_e_mean, target_delta_e_p99 : float
-        Limits of the mean and the 99th percentile of CIEDE2000 under every light, rounding in storage included. If only
-        a sample of the picture is compared, they apply to upper bounds at 99 % confidence.
-    align : int
-        The number of basis vectors is rounded up to a multiple of this, but not beyond the picture's rank.
-    weighting : str
-        ``nothing``: all wavelengths have equal weight; ``visual``: weights by colour-matching functions and lights.
-    storage : str
-        ``half`` or ``single`` precision.
-    codec : str
-        ``gzip`` or ``lzf``.
+    The limits of the errors include rounding in storage. If only a sample of the picture is compared, they apply to
+    upper bounds at 99 % confidence.
     """
 
-    target_delta_e_mean: float = 0.1
-    target_delta_e_p99: float = 0.5
-    align: int = 4
-    weighting: str = "nothing"
-    storage: str = "half"
-    codec: str = "gzip"
-
     def __post_init__(self) -> None:
-        require_storage(self.storage, self.codec)
-        if self.weighting not in WEIGHTINGS:
-            raise ValueError(f"unknown weighting {self.weighting!r}; accepted: {', '.join(WEIGHTINGS)}")
+        check_choices(self)
         if self.align < 1:
             raise ValueError(f"align {self.align}; accepted: 1 or more")
 
