@@ -32,9 +32,8 @@ from irodori.colour.colorimetry import colour_matching_weights, summary, xyz_fro
 from irodori.core import store
 from irodori.core.threads import use_threads
 from irodori.material.coefficients import read_coefficients
-from irodori.material.principal_components.basis_count import Compression, CompressOptions, analyse
+from irodori.material.principal_components.basis_count import Compression, CompressOptions, analyse, colour_error
 from irodori.material.principal_components.pixel_tiles import TILE_BYTES
-from irodori.material.principal_components.repeated_reflection import colour_error
 from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.published import spectrum
 
@@ -205,7 +204,7 @@ def error(folder: Path, done) -> dict:
     if isinstance(done, Compression):
         worst = max(done.errors.values(), key=lambda e: e["mean"])
         return {"mean": worst["mean"], "p99": worst["p99"], "rmse": done.rmse, "bases": done.bases,
-                "negative": done.negative.fraction}  # fmt: skip
+                "negative": done.negative}  # fmt: skip
     model, coefficients = done
     chosen = np.sort(np.random.default_rng(0).choice(len(coefficients), 1 << 16, replace=False))
     with store.open_file(folder / "spectra.h5") as file:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numba
 import numpy as np
 
-from irodori.colour.colorimetry import summary
+from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary
 from irodori.config.definition import check_choices
 from irodori.config.models import Compress
 from irodori.core import store
@@ -18,9 +18,7 @@ from irodori.material.coefficients import (
     reserve_coefficients,
 )
 from irodori.material.principal_components.decomposition import Decomposition, decompose
-from irodori.material.principal_components.negative_spectra import Negative, count_negative
 from irodori.material.principal_components.pixel_tiles import Tiles
-from irodori.material.principal_components.repeated_reflection import colour_error
 from irodori.material.principal_components.second_moments import Moments, second_moments
 from irodori.spectra.grid import SAMPLES
 
@@ -67,8 +65,8 @@ class Compression:
     rank, pixels, masked : int
         Rank of the picture's second moments; number of all pixels; number of those that are not finite, which have no
         coefficients.
-    negative : Negative
-        Negative values in the decoded sample.
+    negative : float
+        Share of the decoded sample's values, of all pixels and wavelengths, that are below zero.
     sample : (n, r) float32
         Pixels from which the errors are computed.
     """
@@ -83,7 +81,7 @@ class Compression:
     rank: int
     pixels: int
     masked: int
-    negative: Negative
+    negative: float
     sample: np.ndarray = field(repr=False)
 
     @property
@@ -116,7 +114,7 @@ class Compression:
             "budget_met": self.budget_met,
             "pixels": self.pixels,
             "masked_pixels": self.masked,
-            "negative": self.negative.as_dict(),
+            "negative": self.negative,
         }
 
     def tiles(self, source) -> Iterator[np.ndarray]:
@@ -165,6 +163,15 @@ class Compression:
             row, rest = row + rows, rest[rows * width :]
         if row != height or len(rest):
             raise ValueError(f"a picture of {row * width + len(rest)} pixels; accepted: {height} rows of {width}")
+
+
+def colour_error(before: np.ndarray, after: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between tristimulus values (n, 3); pairs brighter than white are scaled down to its luminance.
+
+    CIELAB is defined for surface colours; without the scaling, the error of a lamp would grow with its brightness.
+    """
+    scale = np.maximum(before[:, 1:2] / white[1], 1.0)
+    return delta_e(lab_from_xyz(before / scale, white), lab_from_xyz(after / scale, white))
 
 
 def analyse(
@@ -251,10 +258,10 @@ class _Trial:
         return replace(made, errors=errors, budget_met=met)
 
     def finished(self, made: Compression) -> Compression:
-        """Return a copy of a compression with its spectral error and its count of negative values filled in."""
+        """Return a copy of a compression with its spectral error and its share of negative values filled in."""
         decoded = made.decode(made.encode(self._moments.sample)) @ made.basis.T
         rmse = float(np.sqrt(np.mean((self._spectra - decoded) ** 2)))
-        return replace(made, rmse=rmse, negative=count_negative(decoded))
+        return replace(made, rmse=rmse, negative=float((decoded < 0).mean()))
 
     def _made(self, count: int) -> Compression:
         moments, storage = self._moments, self._options.storage
@@ -263,7 +270,7 @@ class _Trial:
         if storage == "half":
             scale = half_scale(np.linalg.norm(encoder, axis=1) * moments.largest_norm)
         return Compression(vectors, encoder, scale, storage, {}, 0.0, False, self._found.rank, moments.pixels,
-                           moments.masked, Negative(0, 0.0, 0.0, 0.0, 0.0, 0.0), moments.sample)  # fmt: skip
+                           moments.masked, 0.0, moments.sample)  # fmt: skip
 
     def _errors(self, made: Compression, part: slice) -> dict:
         sample = self._moments.sample[part]

@@ -2,19 +2,11 @@
 
 import numpy as np
 
-from irodori.colour.colorimetry import delta_e, lab_from_xyz, spectral_rmse, summary
+from irodori.colour.colorimetry import spectral_rmse, summary
+from irodori.material.principal_components.basis_count import colour_error
 
 REFLECTIONS = 5
 _CHAINS = 20_000
-
-
-def colour_error(before: np.ndarray, after: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between tristimulus values (n, 3); pairs brighter than white are scaled down to its luminance.
-
-    CIELAB is defined for surface colours; without the scaling, the error of a lamp would grow with its brightness.
-    """
-    scale = np.maximum(before[:, 1:2] / white[1], 1.0)
-    return delta_e(lab_from_xyz(before / scale, white), lab_from_xyz(after / scale, white))
 
 
 def drift(
