@@ -28,11 +28,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report, row_without_figures, why_it_fails
-from irodori.colour.colorimetry import colour_matching_weights, summary, xyz_from_reflectance
+from irodori.colour.colorimetry import colour_matching_weights, delta_e_of_light, summary, xyz_from_reflectance
 from irodori.core import store
 from irodori.core.threads import use_threads
 from irodori.material.coefficients import read_coefficients
-from irodori.material.principal_components.basis_count import Compression, CompressOptions, analyse, colour_error
+from irodori.material.principal_components.basis_count import Compression, CompressOptions, analyse
 from irodori.material.principal_components.pixel_tiles import TILE_BYTES
 from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.published import spectrum
@@ -210,7 +210,7 @@ def error(folder: Path, done) -> dict:
     with store.open_file(folder / "spectra.h5") as file:
         truth = file.dataset("radiance")[()].reshape(-1, 61)[chosen]
     decoded = model.inverse_transform(coefficients[chosen])
-    found = [summary(colour_error(truth @ m.T, decoded @ m.T, white)) for m, white in observers().values()]
+    found = [summary(delta_e_of_light(truth @ m.T, decoded @ m.T, white)) for m, white in observers().values()]
     worst = max(found, key=lambda e: e["mean"])
     rmse = float(np.sqrt(np.mean((truth - decoded) ** 2)))
     return {"mean": worst["mean"], "p99": worst["p99"], "rmse": rmse, "bases": OTHER_BASES,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numba
 import numpy as np
 
-from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary
+from irodori.colour.colorimetry import delta_e_of_light, summary
 from irodori.config.definition import check_choices
 from irodori.config.models import Compress
 from irodori.core import store
@@ -165,15 +165,6 @@ class Compression:
             raise ValueError(f"a picture of {row * width + len(rest)} pixels; accepted: {height} rows of {width}")
 
 
-def colour_error(before: np.ndarray, after: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between tristimulus values (n, 3); pairs brighter than white are scaled down to its luminance.
-
-    CIELAB is defined for surface colours; without the scaling, the error of a lamp would grow with its brightness.
-    """
-    scale = np.maximum(before[:, 1:2] / white[1], 1.0)
-    return delta_e(lab_from_xyz(before / scale, white), lab_from_xyz(after / scale, white))
-
-
 def analyse(
     source,
     basis: np.ndarray | None,
@@ -280,7 +271,7 @@ class _Trial:
             piece = slice(first, first + _PIECE)
             stored = made.decode(made.encode(sample[piece]))
             return [
-                colour_error(before[light][piece], stored @ (matrix @ made.basis).T, white)
+                delta_e_of_light(before[light][piece], stored @ (matrix @ made.basis).T, white)
                 for light, (matrix, white) in self._observers.items()
             ]
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from irodori.colour.colorimetry import spectral_rmse, summary
-from irodori.material.principal_components.basis_count import colour_error
+from irodori.colour.colorimetry import delta_e_of_light, spectral_rmse, summary
 
 REFLECTIONS = 5
 _CHAINS = 20_000
@@ -54,7 +53,7 @@ def drift(
         row: dict[str, object] = {"reflections": number}
         for prefix, values in {"": product, "projected_": projected}.items():
             row[f"{prefix}delta_e"] = {
-                light: summary(colour_error(wanted[light], values @ matrix, white))
+                light: summary(delta_e_of_light(wanted[light], values @ matrix, white))
                 for light, (matrix, white) in matrices.items()
             }
             row[f"{prefix}rmse"] = float(exposure * spectral_rmse(exact, values).mean())
