@@ -28,13 +28,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report, row_without_figures, why_it_fails
-from irodori.colour.colorimetry import colour_matching_weights, summary, xyz_from_reflectance
+from irodori.colour.colorimetry import colour_matching_weights, delta_e_of_light, summary, xyz_from_reflectance
 from irodori.core import store
 from irodori.core.threads import use_threads
 from irodori.material.coefficients import read_coefficients
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, analyse
 from irodori.material.principal_components.pixel_tiles import TILE_BYTES
-from irodori.material.principal_components.repeated_reflection import colour_error
 from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.published import spectrum
 
@@ -205,13 +204,13 @@ def error(folder: Path, done) -> dict:
     if isinstance(done, Compression):
         worst = max(done.errors.values(), key=lambda e: e["mean"])
         return {"mean": worst["mean"], "p99": worst["p99"], "rmse": done.rmse, "bases": done.bases,
-                "negative": done.negative.fraction}  # fmt: skip
+                "negative": done.negative}  # fmt: skip
     model, coefficients = done
     chosen = np.sort(np.random.default_rng(0).choice(len(coefficients), 1 << 16, replace=False))
     with store.open_file(folder / "spectra.h5") as file:
         truth = file.dataset("radiance")[()].reshape(-1, 61)[chosen]
     decoded = model.inverse_transform(coefficients[chosen])
-    found = [summary(colour_error(truth @ m.T, decoded @ m.T, white)) for m, white in observers().values()]
+    found = [summary(delta_e_of_light(truth @ m.T, decoded @ m.T, white)) for m, white in observers().values()]
     worst = max(found, key=lambda e: e["mean"])
     rmse = float(np.sqrt(np.mean((truth - decoded) ** 2)))
     return {"mean": worst["mean"], "p99": worst["p99"], "rmse": rmse, "bases": OTHER_BASES,

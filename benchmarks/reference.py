@@ -45,7 +45,7 @@ from benchmarks.table import (
     row_without_figures,
     why_it_fails,
 )
-from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz, xyz_from_radiance
+from irodori.colour.colorimetry import colour_matching_weights, delta_e_xyz, xyz_from_radiance
 from irodori.config.definition import typed
 from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.models import BodyShape, ObjectShape, SceneLight, Size
@@ -304,7 +304,7 @@ class Theirs:
 
 def mean_error(picture: np.ndarray, truth: np.ndarray, white_xyz: np.ndarray) -> float:
     """Return the mean CIEDE2000 between two pictures in XYZ for a white."""
-    return float(delta_e(lab_from_xyz(truth, white_xyz), lab_from_xyz(picture, white_xyz)).mean())
+    return float(delta_e_xyz(truth, picture, white_xyz).mean())
 
 
 class Line(NamedTuple):

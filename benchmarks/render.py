@@ -24,7 +24,7 @@ import numba
 import numpy as np
 
 from benchmarks.table import arguments_of, least_processor_s, medians_s, own_peak_mb, printed_by, report
-from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_radiance
+from irodori.colour.colorimetry import delta_e_xyz, summary, xyz_from_radiance
 from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.models import InteractiveIntegrator, Size
 from irodori.geometry.embree import Tracer
@@ -204,7 +204,7 @@ def _error(name: str, image: np.ndarray, reference: np.ndarray, white_xyz: np.nd
     """Return CIEDE2000 of a variant to the same picture in 61 bands; NaN for a picture under other light."""
     if image.shape[2] != 3 or any(word in name for word in ("lamp", "maps")):
         return {"mean": float("nan"), "p99": float("nan"), "max": float("nan")}
-    return summary(delta_e(lab_from_xyz(reference, white_xyz), lab_from_xyz(image, white_xyz)))
+    return summary(delta_e_xyz(reference, image, white_xyz))
 
 
 def _rays(studio: Studio, prepared) -> int:

@@ -78,7 +78,7 @@ _TABLE = {
         "white reference in other light than the chart": "refused with the level of the bands",
         "spectra of another published chart": "named",
         "chart of 140 patches without corners": _RIGHT + ", or refused",
-        "patches moved by 3 pixels": "the error moves by no more than its limit, or the chart is flagged",
+        "patches moved by 3 pixels": "the error hardly moves, or the patches are flagged",
         "filter 3 nm off its table": "its shift found, what is stated holds",
         "filter's table 10 % too low": "its gain found, what is stated holds",
         "filter with a narrow notch": "its shift found, what is stated holds",

@@ -6,7 +6,6 @@ import numpy as np
 
 from irodori.calibration.chart import Located, locate_patches, read_located
 from irodori.calibration.illumination import Illumination, illumination
-from irodori.calibration.jitter import Jitter, jitter
 from irodori.calibration.patches import ChartReading, read_means
 from irodori.calibration.training import ResponseNoise
 from irodori.config.capture_table import Pose, flat_incidence_rad
@@ -120,21 +119,6 @@ class ChartPhotograph:
         if self.noise_model is not None:
             pixel = np.maximum(self.noise_model[:, 0] + self.noise_model[:, 1] * reading.mean.mean(axis=0), 0.0)
         return ResponseNoise(patch / self.cosine**2, pixel / self.cosine**2)
-
-    def jitter(self, error) -> Jitter:
-        """Return an error of the calibration with the patches in place and moved.
-
-        ``error`` is a function from responses as if lit at normal incidence, (patches, bands), to a number.
-        """
-        field = self.cosine if self._field is None else self.cosine * self._field
-        return jitter(
-            self.response,
-            self.valid,
-            self.located,
-            lambda mean: error(mean / field),
-            self.path,
-            sample_px=self.sample_px,
-        )
 
     @property
     def _field(self) -> np.ndarray | None:

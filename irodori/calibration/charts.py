@@ -1,7 +1,7 @@
 """Patches of several charts of one camera, joined into one training set."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,6 @@ import numpy as np
 
 from irodori.calibration.chart_reading import ChartPhotograph
 from irodori.calibration.conditioning import PatchError
-from irodori.calibration.jitter import Jitter
 from irodori.calibration.patch_order import check_order
 from irodori.calibration.patches import ChartReading
 from irodori.calibration.training import ResponseNoise
@@ -155,23 +154,6 @@ class Charts:
         share = np.bincount(self.number) / self.number.size
         pixel = share @ [noise.pixel for noise in found]
         return ResponseNoise(share @ [noise.patch for noise in found], pixel / photographs)
-
-    def jitter(self, error: Callable[[np.ndarray], float]) -> list[Jitter]:
-        """Return an error of the calibration with the patches of each chart moved in turn, the others in place.
-
-        ``error`` is a function from responses of all patches as if lit at normal incidence, (m, bands), to a number.
-        """
-        inner = self.responses()
-
-        def moved(which: int) -> Callable[[np.ndarray], float]:
-            def error_of(responses: np.ndarray) -> float:
-                whole = inner.copy()
-                whole[self.number == which] = responses
-                return error(whole)
-
-            return error_of
-
-        return [photograph.jitter(moved(which)) for which, photograph in enumerate(self.photographs)]
 
 
 def _level(ratios: np.ndarray, patches: int) -> tuple[float, float]:

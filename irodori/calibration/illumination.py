@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from irodori.calibration.chart import Located, read_located
+from irodori.core.left_out import is_less, simplest
 
 _SHARE = 0.75  # of a patch's side: the square whose slope is taken, clear of blurred edges
 _DEGREES = (0, 1, 2)
@@ -153,16 +154,10 @@ def _solve(xy, slopes, weights, degree: int, per_band: bool) -> tuple[np.ndarray
 
 def _choose(xy, slopes, weights) -> tuple[int, bool]:
     """Return the degree, chosen with one field common to all bands, and whether bands have fields of their own."""
-    errors = [_left_out(xy, slopes, weights, degree, False) for degree in _DEGREES]
-    best = errors[int(np.argmin([error.mean() for error in errors]))]
-    degree = next(d for d, error in zip(_DEGREES, errors, strict=True) if not _clearly_less(best, error))
+    errors = {degree: _left_out(xy, slopes, weights, degree, False) for degree in _DEGREES}
+    degree = simplest(errors, _CLEAR)
     own = _left_out(xy, slopes, weights, degree, True)
-    return degree, degree > 0 and _clearly_less(own, errors[degree])
-
-
-def _clearly_less(error: np.ndarray, than: np.ndarray) -> bool:
-    excess = than - error
-    return bool(excess.mean() > _CLEAR * excess.std(ddof=1) / np.sqrt(len(excess)))
+    return degree, degree > 0 and is_less(own, errors[degree], _CLEAR)
 
 
 def _left_out(xy, slopes, weights, degree: int, per_band: bool) -> np.ndarray:

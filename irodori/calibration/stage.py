@@ -1,7 +1,6 @@
 """Calibration stage: computes a calibration and its errors from linear responses to charts and measured spectra."""
 
 import csv
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,11 +14,9 @@ from irodori.calibration.conditioning import check_amplification, check_brightes
 from irodori.calibration.estimator_choice import KINDS, SelectionRow, best_of
 from irodori.calibration.filter_table import DEPARTURES, read_filter
 from irodori.calibration.gates import check_level, check_mean, check_patches, likelier_charts
-from irodori.calibration.jitter import LIMIT, STEP_PX
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import Solution, solve
 from irodori.calibration.training import ResponseNoise, Training
-from irodori.calibration.unseen_patches import error_of_unseen
 from irodori.calibration.verdict import judge
 from irodori.colour.colorimetry import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
 from irodori.config.capture_table import FILTERS
@@ -164,7 +161,7 @@ def _refusing(charts: Charts) -> Iterator[None]:
 
 
 def _checks(charts: Charts, training: Training, solved: Solution, lights) -> dict:
-    """Return the calibration file's attributes on charts, patches, light, jitter and the choice of the estimator."""
+    """Return the calibration file's attributes on charts, patches, light and the choice of the estimator."""
     each = list(zip(charts.captures, charts.photographs, charts.readings, strict=True))
     uneven = _of_all(each, lambda reading: reading.uneven)
     return {
@@ -173,7 +170,6 @@ def _checks(charts: Charts, training: Training, solved: Solution, lights) -> dic
         "uneven_patches": [name for name, is_so in zip(charts.patches, uneven, strict=True) if is_so],
         "patches_found": {c: {k: float(v) for k, v in p.located.found.items()} for c, p, _ in each if p.located.found},
         "light_on_chart": "; ".join(dict.fromkeys(_light(photograph) for _, photograph, _ in each)),
-        "jitter": _jitter(charts, error_of_unseen(training, solved.chosen, lights[0])),
         "verdicts": _verdicts(charts.spectra, solved.recovered),
         "best_estimators": {kind: best_of(solved.rows, names) for kind, names in KINDS.items()},
         "clipped_patches": _clipped(charts.patches, _of_all(each, lambda reading: reading.invalid_share)),
@@ -199,19 +195,6 @@ def _of_all(each, value) -> np.ndarray:
 
 def _light(photograph) -> str:
     return photograph.light.reason if photograph.light else "evened by the white reference"
-
-
-def _jitter(charts: Charts, error) -> dict[str, float]:
-    """Return the change of the mean CIEDE2000 when the patches of one chart are moved, for the worst of the charts.
-
-    NaN if a moved patch leaves the picture.
-    """
-    try:
-        found = max(charts.jitter(error), key=lambda jitter: jitter.worst)
-    except InputError as refused:
-        LOGGER.warning("the patches cannot be moved for the jitter test: %s", refused)
-        return {"step_px": STEP_PX, "in_place": math.nan, "worst": math.nan, "limit": LIMIT}
-    return {"step_px": found.step_px, "in_place": found.in_place, "worst": found.worst, "limit": LIMIT}
 
 
 def _clipped(names, invalid_share) -> dict[str, float]:
@@ -307,10 +290,6 @@ def _log(solved: Solution, errors: dict, checks: dict) -> None:
     if checks["level"]:
         LOGGER.info("level beside the white reference: %s", " ".join(f"{value:.3f}" for value in checks["level"]))
     _log_response_model(checks["response_model"])
-    moved = checks["jitter"]
-    LOGGER.info("patches moved by %g superpixels: CIEDE2000 changes by %.3f", moved["step_px"], moved["worst"])
-    if moved["worst"] > moved["limit"]:
-        LOGGER.warning("that is more than %g: larger patches, or smaller squares in them, would help", moved["limit"])
     for field, name in checks["likelier_charts"].items():
         LOGGER.warning("%s: the photograph agrees clearly better with the spectra of %s", field, name)
     for name in checks["uneven_patches"]:

@@ -6,7 +6,7 @@ predicts the response to any reflectance, with its uncertainty. The *population*
 simulated mixtures as paints (Kubelka and Munk 1931), with the responses that the response model predicts.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -132,12 +132,6 @@ class Training:
     def without(self, left_out: np.ndarray, pixel_levels: bool = False) -> "Training":
         """Return the training data without the patches in a mask, (m,) bool, and without ``given``."""
         return Training(self.response[~left_out], self.spectra[~left_out], self.light, self.noise, pixel_levels)
-
-    def answering(self, response: np.ndarray) -> "Training":
-        """Return the same patches with other responses, (m, bands); values that depend on spectra alone are shared."""
-        other = replace(self, response=response)
-        other.__dict__.update(priors=self.priors, paints=self.paints, different_paints=self.different_paints)
-        return other
 
     @cached_property
     def scale(self) -> np.ndarray:

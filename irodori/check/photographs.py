@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -20,8 +21,8 @@ from irodori.config.models import Chart, MirrorBallSource, Optics
 from irodori.config.photograph_sets import PhotographSets
 from irodori.core.errors import InputError, PlainError, is_file
 from irodori.core.progress import track
-from irodori.ingest.exposure_settings import filter_states, relative_exposure_s, settle, settle_set
-from irodori.ingest.first_look import SetNumbers, SetSize
+from irodori.ingest.exposure_settings import filter_states, relative_exposure_s, settle_set
+from irodori.ingest.first_look import first_looks
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.set_plausibility import FocalRange, SetLook
 from irodori.lens.opencv import need_opencv
@@ -174,34 +175,27 @@ class PhotographCheck:
             yield Finding(True, str(error))
             return
         focal = FocalRange.of(*one.lens_mm) if one.lens_mm else None
-        seen, size = SetLook(shots, focal, self._whites.get(one.camera, ())), SetSize(one.size_px)
-        settled: dict[str, Shot] = {}
-        numbers = SetNumbers()
+        seen = SetLook(shots, focal, self._whites.get(one.camera, ()))
+        settled: list[Shot] = []
         best: dict[str, _Bright] = {}
         around: list[tuple[Shot, Mosaic]] = []
-        for shot in track(seen.shots, f"look {one.name}"):
-            path = shot_path(shot, one.table, one.folder)
+        decoded = partial(self._decoded, one) if self._decoded is not None else None
+        looks = first_looks(seen, one.table, one.folder, f"look {one.name}", size_px=one.size_px, decoded=decoded)
+        for shot, path, mosaic, refused, warnings in looks:
             self.count += 1
-            try:
-                check_unchanged(one.table, one.folder, [shot])
-                mosaic = decode(path, shot.linear)
-                if self._decoded is not None:
-                    self._decoded(one, shot, path, mosaic)
-                size.check(shot, path, mosaic)
-                settled[shot.file] = settle(shot, mosaic, one.table)
-            except PlainError as error:
-                yield Finding(True, str(error), path)
+            if mosaic is None:
+                yield Finding(True, str(refused), path)
                 continue
-            seen.see(settled[shot.file], path, mosaic)
-            for words in numbers.warnings(path, mosaic):
+            settled.append(shot)
+            for words in warnings:
                 yield Finding(False, words, path)
             if shot.role == "environment":
-                around.append((settled[shot.file], mosaic))
+                around.append((shot, mosaic))
             if shot.role in ("chart", "white") and shot.filter == "out":
-                bright = _Bright.of(settled[shot.file], mosaic)
+                bright = _Bright.of(shot, mosaic)
                 best[shot.subject] = max(bright, best.get(shot.subject, bright), key=_Bright.rank)
         try:
-            settle_set(list(settled.values()), one.table)
+            settle_set(settled, one.table)
         except InputError as error:
             yield Finding(True, str(error))
         for doubted in seen.doubted():

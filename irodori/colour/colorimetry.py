@@ -188,6 +188,20 @@ def _saturation(chroma: np.ndarray) -> np.ndarray:
     return np.sqrt(seventh / (seventh + 25.0**7))
 
 
+def delta_e_xyz(xyz: np.ndarray, other: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000, (...), between tristimulus values, (..., 3), for a white, (3,)."""
+    return delta_e(lab_from_xyz(xyz, white_xyz), lab_from_xyz(other, white_xyz))
+
+
+def delta_e_of_light(truth: np.ndarray, estimate: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+    """Return `delta_e_xyz`; pairs whose first is brighter than white are scaled down to white's luminance.
+
+    CIELAB is defined for surface colours; without the scaling, the error of a lamp would grow with its brightness.
+    """
+    scale = np.maximum(truth[..., 1:2] / white_xyz[1], 1.0)
+    return delta_e_xyz(truth / scale, estimate / scale, white_xyz)
+
+
 def delta_e_reflectance(truth: np.ndarray, estimate: np.ndarray, light_name: str = "D65") -> np.ndarray:
     """Return CIEDE2000 between reflectance factors under a light, 2° observer.
 
@@ -201,7 +215,7 @@ def delta_e_reflectance(truth: np.ndarray, estimate: np.ndarray, light_name: str
     """
     matrix = xyz_from_reflectance(light_name)
     white = matrix.sum(axis=1)
-    return delta_e(lab_from_xyz(truth @ matrix.T, white), lab_from_xyz(estimate @ matrix.T, white))
+    return delta_e_xyz(truth @ matrix.T, estimate @ matrix.T, white)
 
 
 def summary(values: np.ndarray) -> dict[str, float]:

@@ -14,7 +14,7 @@ from typing import Any, Self, Union
 
 from irodori.geometry.shape_blocks import outside_schema
 
-__all__ = ["Definition", "as_plain", "field_name", "typed"]
+__all__ = ["Definition", "as_plain", "check_choices", "field_name", "typed"]
 
 
 def field_name(key: str) -> str:
@@ -82,6 +82,20 @@ class Definition:
     def plain(self) -> dict[str, Any]:
         """Return keys and values as in a file, with every default written out and absent keys omitted."""
         return {key: as_plain(value) for key, value in self.given().items()}
+
+
+def check_choices(options: Definition) -> None:
+    """Refuse a value that is none of its field's choices, for callers from Python, whom no schema checks.
+
+    Raises
+    ------
+    ValueError
+    """
+    own: Any = type(options)
+    for name, kind in _types_of(own).items():
+        value, choices = getattr(options, name), typing.get_args(kind)
+        if typing.get_origin(kind) is typing.Literal and value not in choices:
+            raise ValueError(f"{name} {value!r}; accepted: {', '.join(choices)}")
 
 
 def as_plain(value: Any) -> Any:

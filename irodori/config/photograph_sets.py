@@ -294,21 +294,9 @@ class PhotographSets:
         """Return, as a list, the table of an object's refractive index; empty if it has none."""
         return named_tables(self.loaded.objects[wildcards.object].refractive_index)
 
-    def material_definition(self, wildcards) -> dict[str, Any]:
-        """Return the parts of an object's definition on which its material depends."""
-        return material_definition(self.loaded.objects[wildcards.object])
-
-    def material_files(self, wildcards) -> list[str]:
-        """Return the mesh files of an object and the tables of its index and of its assumed transmittance."""
-        return material_files(self.loaded.objects[wildcards.object])
-
-    def meshes_of(self, *names: str) -> list[str]:
-        """Return the mesh files of the objects with these names."""
-        return [file for name in names for file in shape_files(self.loaded.objects[name].shape)]
-
     def mesh(self, wildcards) -> list[str]:
         """Return the mesh files of an object; empty for another shape."""
-        return self.meshes_of(wildcards.object)
+        return shape_files(self.loaded.objects[wildcards.object].shape)
 
     def mesh_and_tables_of_index(self, wildcards) -> list[str]:
         """Return the mesh files of an object and the table of its refractive index, as far as it has them."""
@@ -383,29 +371,23 @@ class PhotographSets:
 
     def sheet(self, wildcards) -> list[str]:
         """Return a camera's table and its photographs of the printed sheet; empty if there are none."""
-        return self._sheet_of(wildcards.camera)
-
-    def _sheet_of(self, camera: str) -> list[str]:
-        if camera not in self._sheets:
-            asked, shots = SimpleNamespace(camera=camera), []
+        if (camera := wildcards.camera) not in self._sheets:
+            shots = []
             # Sessions photograph no sheet, and write their tables themselves.
             if not self.loaded.is_taken_here("cameras", camera):
-                shots = [shot for shot in read_captures(self.table(asked)) if shot.role == LENS]
-            files = [f"{self.folder(asked)}/{shot.file}" for shot in shots]
-            self._sheets[camera] = [self.table(asked), *files] if files else []
+                shots = [shot for shot in read_captures(self.table(wildcards)) if shot.role == LENS]
+            files = [f"{self.folder(wildcards)}/{shot.file}" for shot in shots]
+            self._sheets[camera] = [self.table(wildcards), *files] if files else []
         return self._sheets[camera]
 
-    def lens_of(self, camera: str) -> list[str]:
-        """Return, as a list, the file of a camera's measured lens; empty if its optics are as typed."""
-        return [f"results/cameras/{camera}/lens.yaml"] if self._sheet_of(camera) else []
-
     def lens(self, wildcards) -> list[str]:
-        """Return, as a list, the file of the measured lens of a set's camera; see `lens_of`."""
-        return self.lens_of(self.camera_of(wildcards))
+        """Return, as a list, the file of the measured lens of a set's camera; empty if its optics are as typed."""
+        camera = self.camera_of(wildcards)
+        return [f"results/cameras/{camera}/lens.yaml"] if self.sheet(SimpleNamespace(camera=camera)) else []
 
     def lenses(self, wildcards) -> list[str]:
         """Return the files of all measured lenses."""
-        return [file for camera in self.loaded.cameras for file in self.lens_of(camera)]
+        return [file for camera in self.loaded.cameras for file in self.lens(SimpleNamespace(camera=camera))]
 
     # ---- objects
 
@@ -479,41 +461,28 @@ class PhotographSets:
         texels = self.loaded.objects[name].texels
         return tile_rows(texels.height, texels.width, self.loaded.config.rectify.tile_texels)
 
-    def tile_rows(self, wildcards) -> tuple[int, int]:
-        """Return (first row, end row) of the texture tile in the wildcards."""
-        return self.tiles_of(wildcards.object)[int(wildcards.tile)]
-
-    def fitted_files(self, name: str) -> list[str]:
-        """Return the files of an object's fit: one if its texels share the gloss of paints, otherwise its tiles."""
-        return (
-            [f"results/{name}/surface.h5"] if self.loaded.config.fit.gloss_by_paint else self.tile_files(name, "brdf")
-        )
-
-    def tile_files(self, name: str, kind: str) -> list[str]:
-        """Return an object's tile files of a kind: ``observations``, or ``brdf`` for fits of single texels."""
-        return [f"results/{name}/{kind}/tile-{number:03d}.h5" for number in range(len(self.tiles_of(name)))]
-
     def fitted_tiles(self, wildcards) -> list[str]:
-        """Return the files of the fit of the object in the wildcards."""
-        return self.fitted_files(wildcards.object)
+        """Return the files of an object's fit: one if its texels share the gloss of paints, otherwise its tiles."""
+        if self.loaded.config.fit.gloss_by_paint:
+            return [f"results/{wildcards.object}/surface.h5"]
+        return self.own_tiles(wildcards)
 
     def own_tiles(self, wildcards) -> list[str]:
-        """Return the tile files with fits of single texels of the object in the wildcards."""
-        return self.tile_files(wildcards.object, "brdf")
+        """Return the files with fits of an object's single texels, one for each tile."""
+        return self._tiles(wildcards.object, "brdf")
 
     def observed_tiles(self, wildcards) -> list[str]:
-        """Return the observation files of the object in the wildcards, one for each tile."""
-        return self.tile_files(wildcards.object, "observations")
+        """Return the observation files of an object, one for each tile."""
+        return self._tiles(wildcards.object, "observations")
+
+    def _tiles(self, name: str, kind: str) -> list[str]:
+        return [f"results/{name}/{kind}/tile-{number:03d}.h5" for number in range(len(self.tiles_of(name)))]
 
     def photograph_levels(self, wildcards) -> list[str]:
         """Return the file of the lamp's level in an object's photographs; none where nothing is to tell it."""
-        if self.level_patch(wildcards):
+        if self.loaded.objects[wildcards.object].level_patch is not None:
             return [f"results/{wildcards.object}/patch_levels.h5"]
         return [f"results/{wildcards.object}/levels.h5"] if self.loaded.config.fit.level_by_photograph else []
-
-    def thin_sheet(self, wildcards) -> dict | None:
-        """Return the block ``sheet`` of an object; None if it is not a thin sheet."""
-        return as_plain(self.loaded.objects[wildcards.object].sheet)
 
     def observations_of_sheet(self, wildcards) -> list[str]:
         """Return the observation files of a thin sheet whose transmittance is measured; empty for other objects."""
@@ -523,14 +492,6 @@ class PhotographSets:
     def levels_of_sheet(self, wildcards) -> list[str]:
         """Return the file of `photograph_levels` for such an object."""
         return self.photograph_levels(wildcards) if self.observations_of_sheet(wildcards) else []
-
-    def markers(self, wildcards) -> dict | None:
-        """Return the block ``markers`` of an object."""
-        return as_plain(self.loaded.objects[wildcards.object].markers)
-
-    def level_patch(self, wildcards) -> dict | None:
-        """Return the patch that tells the lamp's level in an object's photographs; None where it has none."""
-        return as_plain(self.loaded.objects[wildcards.object].level_patch)
 
     # ---- places
 

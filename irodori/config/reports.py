@@ -104,11 +104,11 @@ class Reports:
 
     def lenses(self, wildcards) -> list[str]:
         """Return the files of the measured lenses of a report's cameras; other lenses are as typed."""
-        return [file for name in self._cameras(wildcards) for file in self._sets.lens_of(name)]
+        return [file for name in self._cameras(wildcards) for file in self._sets.lens(SimpleNamespace(camera=name))]
 
     def lens_cameras(self, wildcards) -> list[str]:
         """Return the cameras of `lenses`."""
-        return [name for name in self._cameras(wildcards) if self._sets.lens_of(name)]
+        return [name for name in self._cameras(wildcards) if self._sets.lens(SimpleNamespace(camera=name))]
 
     def views(self, pattern: str, virtual_only: bool = False) -> _OfReport:
         """Return a function that fills a pattern with every view of a report, if wanted only of virtual objects."""

@@ -6,6 +6,7 @@ argument is any object with the wildcards as attributes.
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from irodori.config.definition import as_plain
@@ -24,6 +25,7 @@ from irodori.config.parts import Subject
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.config.placed_names import materials_of
 from irodori.core.errors import InputError
+from irodori.geometry.mesh_sources import shape_files
 
 __all__ = ["SceneFiles", "keeps_light"]
 
@@ -84,12 +86,12 @@ class SceneFiles:
     def tiles(self, wildcards) -> list[str]:
         """Return the files of the fits of a scene's objects and backs, for each object once."""
         names = dict.fromkeys(materials_of(self._scene(wildcards)))
-        return [file for name in names for file in self.sets.fitted_files(name)]
+        return [file for name in names for file in self.sets.fitted_tiles(SimpleNamespace(object=name))]
 
     def observations(self, wildcards) -> list[str]:
         """Return the observation files of a scene's objects and backs, in the order of their fits."""
         names = dict.fromkeys(materials_of(self._scene(wildcards)))
-        return [file for name in names for file in self.sets.tile_files(name, "observations")]
+        return [file for name in names for file in self.sets.observed_tiles(SimpleNamespace(object=name))]
 
     def subjects(self, wildcards) -> list[dict]:
         """Return a plain `Subject`, shape and size of a superpixel on it, mm, of a scene's objects, then the backs."""
@@ -108,8 +110,8 @@ class SceneFiles:
 
     def files(self, wildcards) -> list[str]:
         """Return the meshes of a scene's objects and backs, and the tables of its own lights, bodies and frames."""
-        meshes = self.sets.meshes_of(*dict.fromkeys(materials_of(self._scene(wildcards))))
-        return meshes + self.tables(wildcards)
+        shapes = [self.loaded.objects[name].shape for name in dict.fromkeys(materials_of(self._scene(wildcards)))]
+        return [file for shape in shapes for file in shape_files(shape)] + self.tables(wildcards)
 
     def page_files(self, wildcards) -> list[str]:
         """Return the files of a scene, see `files`, and the pictures of its lesson."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
-from irodori.colour.colorimetry import summary, xyz_from_radiance
+from irodori.colour.colorimetry import delta_e_of_light, summary, xyz_from_radiance
 from irodori.colour.display import make_display
 from irodori.config.models import ObjectShape, Optics, ScenePhotograph
 from irodori.config.parts import Staging
@@ -20,7 +20,6 @@ from irodori.core import store
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.evaluation.truth_errors import xyz_delta_e
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.ideal_camera import IdealView
 from irodori.geometry.pinhole import Pinhole
@@ -146,14 +145,14 @@ def compare(
     if photograph.variance is not None:
         draw = np.random.default_rng(_NOISE_SEED).normal(size=found.shape) * np.sqrt(photograph.variance[known])
         noise = noise + factor * (recovered(found + draw) - seen)
-    apart = xyz_delta_e(made, made + noise, white_xyz)
+    apart = delta_e_of_light(made, made + noise, white_xyz)
 
     def spread(values: np.ndarray) -> np.ndarray:
         out = np.full(known.shape, np.nan)
         out[known] = values
         return out
 
-    difference = xyz_delta_e(factor * seen, made, white_xyz)
+    difference = delta_e_of_light(factor * seen, made, white_xyz)
     return Comparison(factor * shown, rendering.mean(axis=0), spread(difference), spread(apart), factor, factor * ratio)
 
 

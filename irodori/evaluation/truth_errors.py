@@ -3,10 +3,9 @@
 import numpy as np
 
 from irodori.colour.colorimetry import (
-    delta_e,
+    delta_e_of_light,
     delta_e_reflectance,
     goodness_of_fit,
-    lab_from_xyz,
     spectral_rmse,
     summary,
     xyz_from_radiance,
@@ -128,15 +127,6 @@ def comparable_gloss(material: Material, truth: Material) -> list[tuple[np.ndarr
     return pairs
 
 
-def xyz_delta_e(truth: np.ndarray, estimate: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000, (...), between two pictures in XYZ, (..., 3), with Y = 100 for white.
-
-    A pixel that is truly brighter than white is compared after both pictures are divided there by Y / 100 of the truth.
-    """
-    scale = np.maximum(truth[..., 1:2] / 100.0, 1.0)
-    return delta_e(lab_from_xyz(truth / scale, white_xyz), lab_from_xyz(estimate / scale, white_xyz))
-
-
 def radiance_delta_e(truth: np.ndarray, estimate: np.ndarray, white: np.ndarray) -> np.ndarray:
     """Return CIEDE2000, (...), between two radiance images, (..., 61).
 
@@ -144,10 +134,10 @@ def radiance_delta_e(truth: np.ndarray, estimate: np.ndarray, white: np.ndarray)
     ----------
     truth, estimate : (..., 61) float
     white : (61,) float
-        Radiance of white. For brighter pixels see `xyz_delta_e`.
+        Radiance of white. For brighter pixels see `irodori.colour.colorimetry.delta_e_of_light`.
     """
     matrix = xyz_from_radiance(white)
-    return xyz_delta_e(truth @ matrix.T, estimate @ matrix.T, matrix @ white)
+    return delta_e_of_light(truth @ matrix.T, estimate @ matrix.T, matrix @ white)
 
 
 def environment_errors(name: str, environment: Environment, truth: Environment) -> list[ErrorRow]:
@@ -220,7 +210,7 @@ def measure_errors(
         matrix = xyz_from_radiance(white)
         for name, path, truth in zip(names["views"], inputs["views"], inputs["true_views"], strict=True):
             pair = read_xyz(truth, matrix), read_xyz(path, matrix)
-            difference = xyz_delta_e(*pair, matrix @ white)
+            difference = delta_e_of_light(*pair, matrix @ white)
             # Both pictures have the same light, samples and random numbers: pixels without an object are identical, but
             # for bodies, which reflect the light of objects.
             view = make_view(scene.views[name.rpartition("/")[2]], scene.image)

@@ -9,6 +9,7 @@ import numpy as np
 
 from irodori.core.errors import InputError
 from irodori.core.file_kinds import IF_LINEAR
+from irodori.core.left_out import simplest
 from irodori.evaluation.left_out_photographs import Prediction, fit_known_shape, predict_left_out
 from irodori.first_project.dome_files import Measured, SurfaceMaps, write_dome
 from irodori.first_project.dome_photographs import DomePhotographs, Places, read_photographs, refuse_dark
@@ -78,24 +79,6 @@ def _measure(asked: argparse.Namespace) -> int:
     written = write_dome(Path(asked.into), measured, photographs.names, listed)
     print(f"written: {', '.join(map(str, written))}")
     return 0
-
-
-def simplest(errors: dict[str, np.ndarray]) -> str:
-    """Return the simplest model with errors within one standard error of the best model.
-
-    Errors are compared photograph by photograph.
-
-    Parameters
-    ----------
-    errors : dict of (J,) float
-        Error of each photograph by the name of the model, the simplest model first.
-    """
-    best = min(errors.values(), key=lambda error: error.mean())
-    for name, error in errors.items():
-        behind = error - best
-        if behind.mean() <= behind.std(ddof=1) / np.sqrt(len(behind)):
-            return name
-    raise AssertionError("the best is within one standard error of itself")
 
 
 def _circle(asked: argparse.Namespace, photographs: DomePhotographs) -> Circle | None:

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from irodori.core.left_out import is_less
 from irodori.fitting.judge import MAX_RELATIVE_ERROR, SEEN, TWICE
 from irodori.fitting.paint_gloss import TexelGloss
 from irodori.fitting.solvers import FitOptions
@@ -268,7 +269,7 @@ class GlossSearch:
         minima.sort(key=lambda one: one[1].mean())
         self.log_gloss: np.ndarray | None = None
         self.loss = float(minima[0][1].mean()) if minima else np.inf
-        self.is_ordered = len(minima) < 2 or _is_less(minima[0][1], minima[1][1])
+        self.is_ordered = len(minima) < 2 or is_less(minima[0][1], minima[1][1], _SIGNIFICANT)
         if minima:
             self.log_gloss = minima[0][0]
             self.plain, self.weight = model.weights(minima[0][0])
@@ -381,12 +382,6 @@ def _jackknife(moved: np.ndarray) -> np.ndarray:
     free = np.clip(3.0 * squares.sum(axis=0) ** 2 / np.maximum((squares**2).sum(axis=0), 1e-300), 3.0, len(moved) - 1.0)
     apart = (moved - moved.mean(axis=0)) * np.sqrt(free / (free - 2.0))
     return (len(moved) - 1) / len(moved) * apart.T @ apart
-
-
-def _is_less(losses: np.ndarray, others: np.ndarray) -> bool:
-    """Return whether the losses of photographs, (photographs,), are significantly less than others."""
-    behind = others - losses
-    return len(behind) > 1 and bool(behind.mean() > _SIGNIFICANT * behind.std(ddof=1) / np.sqrt(len(behind)))
 
 
 def share_pair(readings: Readings, gloss: PairGloss, options: FitOptions) -> TexelGloss:

@@ -10,13 +10,15 @@ import nlopt
 import numpy as np
 
 from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
+from irodori.config.definition import check_choices, typed
+from irodori.config.models import Fit, FitBounds
 from irodori.fitting import judge, nlopt_loop, texels, two_lobes
 from irodori.fitting.observations import Minimum, Rules, camera_noise
 from irodori.fitting.reported_parameters import report_parameters
 from irodori.fitting.shared_geometry import no_shared
 from irodori.fitting.texel_rows import COSINE, LOBE, LOBE_SLOPE, RESPONSE, WEIGHT
 from irodori.fitting.varpro import NODE_STEP
-from irodori.material.angle_errors import AUTO, AngleErrors, errors_in_use
+from irodori.material.angle_errors import AngleErrors, errors_in_use
 from irodori.reflection.albedo import gloss_albedo
 from irodori.reflection.coat import COATS, COUPLED, SUM
 from irodori.reflection.fresnel import fresnel_array
@@ -27,36 +29,21 @@ from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 _ALGORITHM, _XTOL_REL, _MAX_EVALUATIONS = nlopt.LD_LBFGS, 1e-8, 400
 MAX_LOBES = 2
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
-_BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2)}
-_CHOICES = {"coat": COATS, "weights": ("noise", "equal")}
 
 
-@dataclass(frozen=True)
-class FitOptions:
-    """Options of the fit.
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class FitOptions(Fit):
+    """The ``fit`` block of the configuration, with the gloss of the object and the errors of its angles.
+
+    `fit` takes responses as they are and treats texels separately: it ignores ``level_by_photograph``, see
+    `irodori.fitting.level_estimate`, and ``gloss_by_paint``, see `irodori.fitting.paints`.
 
     Parameters
     ----------
     solver : str
-        ``varpro`` (variable projection), ``nlopt`` (NLopt's L-BFGS in a compiled loop over texels) or
+        ``varpro`` (variable projection), ``nlopt`` (NLopt's L-BFGS in a compiled loop over texels) or, for comparison,
         ``nlopt-reference`` (the same from Python, with a callback for each evaluation).
-    weights : str
-        ``noise``: weighted by inverse variance if the camera's noise is known; ``equal``: equally weighted.
-    model_error : float
-        Relative error of an observation apart from the camera's noise: drift of the light, the model itself.
-    pose_error_deg : "auto" or float
-        Standard deviation of an angle of light or camera, degrees; with ``auto`` the errors are `registered`, or those
-        of a rig whose objects are not registered.
-    level_error : float
-        Relative error common to all observations: that of the white reference's reflectance, and the change of the
-        lamp's level between the photographs of white reference and object.
-    level_by_photograph : bool
-        Whether the lamp's level in every photograph is estimated, see `irodori.fitting.level_estimate`; `fit` ignores
-        it and takes responses as they are.
-    gloss_by_paint : bool
-        Whether the texels of an object share the gloss of their paints, see `irodori.fitting.paints`; `fit` ignores it
-        and treats texels separately.
-    bounds : dict
+    bounds : FitBounds or mapping
         Lower and upper bound by name: ``alpha``, ``beta``, ``mu_rad``.
     lobes : tuple of str
         Lobes of the gloss, one or two, see `irodori.reflection.registry`. The bounds of μ are in the unit of the lobe.
@@ -69,27 +56,18 @@ class FitOptions:
         `irodori.fitting.mirror_image`; `fit` ignores it.
     """
 
-    solver: str = "varpro"
-    weights: str = "noise"
-    model_error: float = 0.01
-    pose_error_deg: Literal["auto"] | float = AUTO
-    level_error: float = 0.014
-    level_by_photograph: bool = False
-    gloss_by_paint: bool = True
-    bounds: dict | None = None
+    solver: Literal["varpro", "nlopt", "nlopt-reference"] = "varpro"  # type: ignore[assignment]
     lobes: tuple[str, ...] = DEFAULT_LOBES
     registered: AngleErrors | None = None
     coat: str = SUM
     lamp_radius_deg: float | None = None
 
     def __post_init__(self):
-        if self.solver not in SOLVERS:
-            raise ValueError(f"fit.solver {self.solver!r}; accepted: {', '.join(SOLVERS)}")
-        for name, accepted in _CHOICES.items():
-            if getattr(self, name) not in accepted:
-                raise ValueError(f"fit.{name} {getattr(self, name)!r}; accepted: {', '.join(map(str, accepted))}")
+        check_choices(self)
+        if self.coat not in COATS:
+            raise ValueError(f"coat {self.coat!r}; accepted: {', '.join(COATS)}")
         self._check_lobes()
-        for name in _BOUNDS:
+        for name in vars(FitBounds()):
             low, high = self.limits(name)
             if not low < high * (0.99 if name == "mu_rad" else 1.0) < np.inf:
                 raise ValueError(f"fit.bounds {name} of {low:g} to {high:g}; accepted: a range, lower bound first")
@@ -105,7 +83,7 @@ class FitOptions:
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return lower and upper bound of a parameter; those of μ are limited to the domain of the lobes."""
-        low, high = (_BOUNDS | (self.bounds or {}))[name]
+        low, high = getattr(typed(FitBounds, self.bounds), name)
         if name == "mu_rad":
             defined = [lobe(one).roughness for one in self.lobes]
             low, high = max(low, *(one.low for one in defined)), min(high, *(one.high for one in defined))

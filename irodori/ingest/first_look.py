@@ -1,8 +1,12 @@
 """First check of a set of RAW files: every file is decoded and checked once before any long computation."""
 
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
 from irodori.config.capture_table import Shot, check_unchanged, read_captures, shot_path, write_captures
 from irodori.core.custody import content_sha256
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, PlainError
 from irodori.core.progress import LOGGER, track
 from irodori.ingest.exposure_settings import settle, settle_set
 from irodori.ingest.mosaic import Mosaic, decode
@@ -40,44 +44,71 @@ def check_captures(table, folder, output, roles, size_px=None, lens_mm=None) -> 
         `irodori.ingest.plausibility`. Unlikely photographs are logged only.
     """
     shots = [shot for shot in read_captures(table, folder) if shot.role in roles]
-    check_unchanged(table, folder, shots)
     settled, hashes, seen = {}, {}, SetLook(shots, FocalRange.of(*lens_mm) if lens_mm else None)
-    size, numbers = SetSize(size_px), SetNumbers()
-    for shot in track(seen.shots, "check"):
-        path = shot_path(shot, table, folder)
-        mosaic = decode(path, shot.linear)
-        size.check(shot, path, mosaic)
-        settled[shot.file] = settle(shot, mosaic, table)
-        hashes[shot.file] = content_sha256(path)
-        seen.see(settled[shot.file], path, mosaic)
-        for words in numbers.warnings(path, mosaic):
+    for one in first_looks(seen, table, folder, "check", size_px=size_px):
+        if one.refused is not None:
+            raise one.refused
+        settled[one.shot.file], hashes[one.shot.file] = one.shot, content_sha256(one.path)
+        for words in one.warnings:
             LOGGER.warning(words)
     for unlikely in seen.refuse(table):
         LOGGER.warning("%s: %s: %s", unlikely.path, unlikely.doubt.kind, unlikely.doubt.words)
     write_captures(output, settle_set([settled[shot.file] for shot in shots], table), hashes)
 
 
-class SetSize:
-    """Check that all mosaics of a set have the same size.
+class Looked(NamedTuple):
+    """A photograph of a set after the first look at it: with ISO and f-number from its file, or why it is refused."""
+
+    shot: Shot
+    path: Path
+    mosaic: Mosaic | None
+    refused: PlainError | None = None
+    warnings: Sequence[str] = ()
+
+
+def first_looks(
+    seen: SetLook,
+    table,
+    folder,
+    label: str,
+    *,
+    size_px=None,
+    decoded: Callable[[Shot, Path, Mosaic], None] | None = None,
+) -> Iterator[Looked]:
+    """Decode the photographs of a set, check each by itself and show it to the checks of the whole set.
 
     Parameters
     ----------
+    seen : SetLook
+        Checks of the whole set, with its shots.
+    table, folder : path
+    label : str
+        Name of the photographs in reports of progress.
     size_px : (width, height), optional
-        Size from a definition; by default that of the first file.
+        Size from a definition; by default that of the first file. A chart in a room may have any size.
+    decoded : callable, optional
+        Called with every photograph after it was decoded.
     """
-
-    def __init__(self, size_px=None) -> None:
-        self._wanted = None if size_px is None else tuple(side // 2 * 2 for side in size_px)
-
-    def check(self, shot: Shot, path, mosaic: Mosaic) -> None:
-        """Raise `InputError` for a photograph of another size; a chart in a room may have any size."""
-        if shot.role == "room-chart":
-            return
-        self._wanted = self._wanted or mosaic.size
-        if mosaic.size != self._wanted:
-            found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
-            accepted = f"{self._wanted[0]} x {self._wanted[1]} pixels, as its set states"
-            raise InputError(path, "size", found, accepted)
+    wanted = None if size_px is None else tuple(side // 2 * 2 for side in size_px)
+    numbers = SetNumbers()
+    for shot in track(seen.shots, label):
+        path = shot_path(shot, table, folder)
+        try:
+            check_unchanged(table, folder, [shot])
+            mosaic = decode(path, shot.linear)
+            if decoded is not None:
+                decoded(shot, path, mosaic)
+            if shot.role != "room-chart":
+                wanted = wanted or mosaic.size
+                if mosaic.size != wanted:
+                    found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
+                    raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]} pixels, as its set states")
+            settled = settle(shot, mosaic, table)
+        except PlainError as refused:
+            yield Looked(shot, path, None, refused)
+            continue
+        seen.see(settled, path, mosaic)
+        yield Looked(settled, path, mosaic, None, numbers.warnings(path, mosaic))
 
 
 class SetNumbers:

@@ -1,40 +1,20 @@
 """Options of ingestion."""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
-from irodori.ingest.mosaic import ALGORITHMS
+from irodori.config.definition import check_choices
+from irodori.config.models import Ingest
 
-SUPERPIXEL = "superpixel"
+SUPERPIXEL: Final = "superpixel"
 
 
-@dataclass(frozen=True)
-class IngestOptions:
-    """The ``ingest`` block of the configuration.
-
-    Parameters
-    ----------
-    saturation : float
-        Fraction of the range from black to white at and above which a sample counts as clipped.
-    demosaic : str
-        ``superpixel``, or an algorithm of LibRaw for full resolution.
-    register : bool
-        Whether the shots of two filter states are registered.
-    max_registration_px : float
-        Largest residual of the registration, superpixels.
-    max_nonlinearity : float
-        Largest deviation from linearity, ratio.
-    """
-
-    saturation: float = 0.98
-    demosaic: str = SUPERPIXEL
-    register: bool = True
-    max_registration_px: float = 0.3
-    max_nonlinearity: float = 0.02
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class IngestOptions(Ingest):
+    """The ``ingest`` block of the configuration, with what follows from it."""
 
     def __post_init__(self) -> None:
-        if self.demosaic != SUPERPIXEL and self.demosaic not in ALGORITHMS:
-            accepted = ", ".join((SUPERPIXEL, *ALGORITHMS))
-            raise ValueError(f"unknown demosaicing {self.demosaic!r}; accepted: {accepted}")
+        check_choices(self)
 
     @property
     def sample_px(self) -> int:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from irodori.core.errors import PlainError
+from irodori.core.left_out import simplest
 
 #: Fitted coefficients of each model, by its name, simplest first.
 MODELS = {
@@ -128,23 +129,6 @@ def fit_lens(sheets: Sequence[Sheet], size: tuple[int, int]) -> tuple[Lens, list
             "the sheet by 30 to 45 degrees to the left, right, front and back in further photographs"
         )
     return lens, far
-
-
-def simplest(errors: dict[str, np.ndarray]) -> str:
-    """Return the first model whose mean error is within one standard error of the smallest mean.
-
-    Parameters
-    ----------
-    errors : dict of (photographs,) float64
-        Mean squared distance of the corners of each left-out photograph, by model, simplest first. The standard error
-        is that of the mean difference to the best model over photographs.
-    """
-    best = min(errors, key=lambda model: float(np.mean(errors[model])))
-    for model, own in errors.items():
-        more = own - errors[best]
-        if np.mean(more) <= np.std(more, ddof=1) / np.sqrt(len(more)):
-            return model
-    return best
 
 
 def left_out_errors(sheets: Sequence[Sheet], size: tuple[int, int], model: str) -> np.ndarray:

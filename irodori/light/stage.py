@@ -340,7 +340,7 @@ def write_environment(
             GlossMaps.of(coefficients).write(out, options.storage)
         errors = {
             "delta_e": compression.errors,
-            "negative_fraction": compression.negative.fraction,
+            "negative_fraction": compression.negative,
             "compression": compression.summary(),
             "irradiance": of_irradiance,
         }
@@ -362,5 +362,5 @@ def _log(compression: Compression) -> None:
         compression.rank,
         of_light["mean"],
         of_light["p99"],
-        100 * compression.negative.fraction,
+        100 * compression.negative,
     )

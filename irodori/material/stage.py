@@ -6,7 +6,7 @@ spectra, and to write the material's file.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -41,7 +41,6 @@ from irodori.material.material_file import (
 )
 from irodori.material.passed_light import PassedLight
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
-from irodori.material.principal_components.decomposition import WEIGHTINGS
 from irodori.material.principal_components.repeated_reflection import drift
 from irodori.material.principal_components.second_moments import second_moments
 from irodori.spectra.grid import ERROR_NM, ERROR_STRIDE, SAMPLES
@@ -264,7 +263,7 @@ def compress_reflectance(
             write_sent_basis(out, sheet.basis, sheet.source)
         errors = gathered.errors() | {
             "delta_e": compression.errors,
-            "negative_fraction": compression.negative.fraction,
+            "negative_fraction": compression.negative,
             "compression": compared,
             **fitted.speed,
             "common_error": None if math.isnan(fitted.common_error) else fitted.common_error,
@@ -456,25 +455,23 @@ def compress_maps(weights, basis: np.ndarray, observers: dict, options: Compress
     -------
     compression : Compression
     errors : dict
-        Summary of the compression, with ``storage`` and ``weighting``; ``weightings``: the summary for each weighting
-        on this image; ``drift``: see `irodori.material.principal_components.repeated_reflection.drift`.
+        Summary of the compression, with ``storage`` and ``weighting``; ``drift``: see
+        `irodori.material.principal_components.repeated_reflection.drift`.
     """
     moments = second_moments(weights)
-    made = {name: choose(moments, basis, observers, replace(options, weighting=name)) for name in WEIGHTINGS}
-    compression = made[options.weighting]
+    compression = choose(moments, basis, observers, options)
     truth = moments.sample @ np.asarray(basis, dtype=np.float64).T
     decoded = compression.decode(compression.encode(moments.sample)) @ compression.basis.T
     return compression, {
         **compression.summary(),
         "storage": options.storage,
         "weighting": options.weighting,
-        "weightings": {name: one.summary() for name, one in made.items()},
         "drift": drift(truth, decoded, compression.basis, observers),
     }
 
 
 def _log(compression: Compression, gathered: _Gathered, texels: int) -> None:
-    share, negative = 100 * gathered.observed / texels, 100 * compression.negative.fraction
+    share, negative = 100 * gathered.observed / texels, 100 * compression.negative
     bases, rank = compression.bases, compression.rank
     LOGGER.info("%d bases of %d; observed %.1f %% of texels; negative samples %.3f %%", bases, rank, share, negative)
     if gathered.untold > _MOST * gathered.observed:

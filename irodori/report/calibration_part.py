@@ -8,7 +8,7 @@ from irodori.core import store
 from irodori.report.figures import selection_figure
 
 _ATTRIBUTES = (
-    "best_estimators", "charts", "clipped_patches", "condition_number", "estimator", "jitter", "level",
+    "best_estimators", "charts", "clipped_patches", "condition_number", "estimator", "level",
     "light_on_chart", "likelier_charts", "noise_amplification", "patches_found", "response_model",
     "uneven_patches", "verdicts",
 )  # fmt: skip

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz
+from irodori.colour.colorimetry import colour_matching_weights, delta_e_xyz
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rotation_z
 from irodori.geometry.shapes.placement import Placement
@@ -188,12 +188,7 @@ def differences(bands: np.ndarray, other: np.ndarray, white: np.ndarray) -> np.n
     """Return CIEDE2000 between two pictures of radiance, (..., 61), for a white, (61,), and the 2° observer."""
     matrix = colour_matching_weights()
     matrix = matrix * (100.0 / (matrix[1] @ white))
-    return xyz_differences(bands @ matrix.T, other @ matrix.T, matrix @ white)
-
-
-def xyz_differences(xyz: np.ndarray, other: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between two pictures of tristimulus values, (..., 3), for a white, (3,)."""
-    return delta_e(lab_from_xyz(xyz, white_xyz), lab_from_xyz(other, white_xyz))
+    return delta_e_xyz(bands @ matrix.T, other @ matrix.T, matrix @ white)
 
 
 def mean_and_p99(values: Sequence[np.ndarray]) -> dict[str, float]:

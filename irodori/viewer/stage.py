@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from irodori.colour.colorimetry import colour_matching_weights, xyz_from_radiance
+from irodori.colour.colorimetry import colour_matching_weights, delta_e_xyz, xyz_from_radiance
 from irodori.config.models import Scene, Size
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
@@ -24,7 +24,6 @@ from irodori.viewer.measured import (
     frame_bands,
     mean_and_p99,
     prepared,
-    xyz_differences,
 )
 from irodori.viewer.page_data import PageData, SceneSources, page_data
 from irodori.viewer.page_file import write_page
@@ -218,7 +217,7 @@ def measured_page(page: OpenPage, data: PageData, originals: Sequence[Prepared],
     for check in checks(data, originals, view):
         now = {**state, "light": state["light"] | check.light, "observer": check.observer}
         xyz, _ = page.read_xyz(now, view.width, view.height)
-        found.append(xyz_differences(check.wanted, xyz, check.white_xyz))
+        found.append(delta_e_xyz(check.wanted, xyz, check.white_xyz))
     return mean_and_p99(found)
 
 
@@ -230,5 +229,5 @@ def measured_reference(page: OpenPage, scene: Scene, environment, picture) -> di
     matrix = xyz_from_radiance(white)
     wanted = read_xyz(picture, matrix.astype(np.float32))
     xyz, _ = page.read_xyz(page.default_state(), wanted.shape[1], wanted.shape[0])
-    found = mean_and_p99([xyz_differences(wanted, xyz, matrix @ white)])
+    found = mean_and_p99([delta_e_xyz(wanted, xyz, matrix @ white)])
     return found | {"integrator": scene.integrator.kind}

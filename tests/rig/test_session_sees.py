@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from accidents import Accident, Mishap
 from made import made
 from sessions import MADE, ROOT, assert_whole, definitions
 
@@ -19,37 +20,8 @@ from irodori.core.errors import InputError
 from irodori.ingest.first_look import check_captures
 from irodori.ingest.plausibility import Look, Series
 from irodori.simulation.virtual_rig.bench import Bench
-from irodori.simulation.virtual_rig.mishaps import Mishap
-from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
 
 POSES = [{"light_deg": [45.0], "camera_deg": [0.0, 15.0, 30.0]}]
-
-
-class Accident(VirtualCamera):
-    """A virtual camera to which mishaps happen: at a photograph so many times in a row.
-
-    It remembers the pictures of an object before the optics in `seen`, which cameras of one plate may share.
-    """
-
-    seen: dict | None = None
-
-    def _object(self, pose, plate, weights):
-        if self.seen is None:
-            return super()._object(pose, plate, weights)
-        key = pose, plate.tobytes(), weights.tobytes()
-        if key not in self.seen:
-            self.seen[key] = super()._object(pose, plate, weights)
-        return self.seen[key]
-
-    def happen(self, file: str, mishap: Mishap, times: int = 1) -> None:
-        self._file, self._then, self._left, self.tried = file, mishap, times, getattr(self, "tried", [])
-
-    def capture(self, shot, path):
-        hit = shot.file == self._file and self._left > 0
-        self._left -= hit
-        self.tried.append(shot.file)
-        self.mishap = self._then if hit else Mishap()
-        super().capture(shot, path)
 
 
 class Person(AutoOperator):

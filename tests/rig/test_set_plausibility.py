@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from accidents import Mishap
 from made import made
 from sessions import definitions
 
@@ -19,7 +20,6 @@ from irodori.ingest.first_look import check_captures
 from irodori.ingest.mosaic import decode
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.dng_writer import write_dng
-from irodori.simulation.virtual_rig.mishaps import Mishap
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
 
 POSES = [{"light_deg": [45.0, 65.0], "camera_deg": [0.0, 30.0]}]

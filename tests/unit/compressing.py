@@ -23,7 +23,7 @@ class Compressed(NamedTuple):
 
     @property
     def negative_fraction(self):
-        return self.compression.negative.fraction
+        return self.compression.negative
 
 
 def compress(pixels, basis, observers, options, *, bases=None) -> Compressed:

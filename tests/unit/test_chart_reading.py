@@ -1,4 +1,4 @@
-"""Statistics of patches: means, variances, flags, and their change when patches move."""
+"""Statistics of patches: means, variances, flags, and what becomes of squares beside their patches."""
 
 import numpy as np
 import pytest
@@ -9,10 +9,7 @@ from made import made
 from scipy import stats
 from shortcuts import read_patches
 
-from irodori.calibration.chart import Located
-from irodori.calibration.jitter import LIMIT, SHIFTS, jitter
 from irodori.config.models import Chart
-from irodori.core.errors import InputError
 
 SIDE, PITCH = 40, 60
 CORNERS = {"first": [40, 40], "row_end": [160, 40], "column_end": [40, 100], "last": [160, 100]}
@@ -129,59 +126,22 @@ def test_dividing_by_the_light_divides_means_and_variances():
     assert np.allclose(even.pixel_variance * field**2, reading.pixel_variance)
 
 
-# ---- jitter
+EIGHT_SIDES = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dx, dy) != (0, 0)]
 
 
-def located(image) -> Located:
-    reading = read(image)
-    return Located(reading.centres_px, SIDE, 2, 3, np.nan, {})
-
-
-def test_jitter_moves_all_patches_to_eight_sides():
-    y, x = np.mgrid[:140, :200].astype(float)
-    ramps, seen = np.stack([x, y, x + y], axis=-1), []
-
-    def error(mean):
-        seen.append(mean[:, :2] - located(picture()).centres_px)
-        return 0.0
-
-    jitter(ramps, np.ones((140, 200), bool), located(picture()), error, "x.h5")
-    assert all(np.allclose(moved, moved[0]) for moved in seen)
-    moves = {tuple(np.round(moved[0] - seen[0][0]).astype(int)) for moved in seen}
-    assert moves == {(0, 0)} | {(3 * dx, 3 * dy) for dx, dy in SHIFTS}
+def moved(by_px: int, side: tuple[int, int]) -> dict:
+    corners = {name: [x + by_px * side[0], y + by_px * side[1]] for name, (x, y) in CORNERS.items()}
+    return CHART | {"centres_px": corners}
 
 
 @pytest.mark.stability(stage="calibrate", case="patches moved by 3 pixels")
-def test_patches_that_hold_the_moved_squares_pass():
-    found = jitter(picture(), np.ones((140, 200), bool), located(picture()), np.mean, "x.h5")
-    assert found.worst <= 1e-12, "patches of 50 hold squares of 40 moved by 3"
-
-
-@pytest.mark.stability(stage="calibrate", case="patches moved by 3 pixels")
-def test_jitter_tells_patches_read_over_their_edge_and_dirt_beside_them():
-    image = picture()
-    valid = np.ones((140, 200), bool)
-    far = jitter(image, valid, located(image), np.sum, "x.h5", step_px=12.0)
-    assert far.worst > LIMIT
-    image[8:20] = 5.0  # a bright band above the squares of the first row, of which the moved ones hold a fifth
-    found = jitter(image, valid, located(image), np.sum, "x.h5", step_px=8.0)
-    up = [dy < 0 for _, dy in SHIFTS]
-    assert np.array_equal(found.moved > found.in_place + 1.0, up)
-
-
-def test_jitter_at_full_resolution_moves_by_superpixels():
-    image = picture(0.01, np.random.default_rng(6))
-    fine = image.repeat(2, axis=0).repeat(2, axis=1)
-    place = located(image)
-    coarse = jitter(image, np.ones((140, 200), bool), place, np.sum, "x.h5")
-    other = jitter(fine, np.ones((280, 400), bool), place, np.sum, "x.h5", sample_px=1)
-    assert np.allclose(coarse.moved, other.moved, rtol=1e-3)
-
-
-def test_jitter_off_the_picture_is_refused():
-    image = picture()
-    with pytest.raises(InputError, match="patch 0"):
-        jitter(image, np.ones((140, 200), bool), located(image), np.sum, "x.h5", step_px=30.0)
+@pytest.mark.parametrize("side", EIGHT_SIDES)
+def test_squares_within_their_patches_read_the_same_and_those_over_an_edge_are_flagged(side):
+    image, valid = picture(), np.ones((140, 200), bool)
+    within = read_patches(image, valid, made(Chart, moved(3, side)), "x.h5")
+    assert np.allclose(within.mean, LEVELS, rtol=1e-12) and not within.uneven.any(), "patches of 50, squares of 40"
+    over = read_patches(image, valid, made(Chart, moved(12, side)), "x.h5")
+    assert over.uneven.all(), "a chart of more than half such patches is refused"
 
 
 # ---- configuration

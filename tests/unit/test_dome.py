@@ -14,9 +14,10 @@ from raw_studio import ROOT
 from irodori.command_line import main
 from irodori.config.capture_table import light_angles_deg
 from irodori.core import store
+from irodori.core.left_out import simplest
 from irodori.evaluation.left_out_photographs import fit_known_shape, predict_left_out
 from irodori.export.pictures import stored_samples
-from irodori.first_project.dome_command import INSIDE, simplest
+from irodori.first_project.dome_command import INSIDE
 from irodori.first_project.dome_photographs import read_photographs
 from irodori.first_project.light_places import read_lamps, write_lamps
 from irodori.first_project.mirror_highlights import write_light_places

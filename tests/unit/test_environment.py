@@ -95,7 +95,7 @@ def test_a_light_whose_parts_have_different_numbers_of_bases_is_refused(tmp_path
 
 def options(target: float, align: int) -> CompressOptions:
     """Bounds on the mean alone, exact storage."""
-    return CompressOptions(target, np.inf, align, storage="single")
+    return CompressOptions(target_delta_e_mean=target, target_delta_e_p99=np.inf, align=align, storage="single")
 
 
 def image(seed: int, pixels: int = 400, rank: int = 6):

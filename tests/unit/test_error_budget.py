@@ -164,7 +164,7 @@ def test_gloss_errors_that_are_known_are_drawn_as_large():
     assert mu.min() == pytest.approx(0.5 * 0.1) and beta.min() == 0.0
 
 
-COMPRESSION = CompressOptions(0.1, 0.5, 4, "nothing", storage="half", codec="gzip")
+COMPRESSION = CompressOptions()
 
 
 def light_of_three():
@@ -173,7 +173,9 @@ def light_of_three():
 
 def test_light_loses_nothing_to_all_its_bases():
     exact = light_of_three()
-    light, stated = compressed_light(exact, CompressOptions(0.0, 0.0, storage="single"))
+    light, stated = compressed_light(
+        exact, CompressOptions(target_delta_e_mean=0.0, target_delta_e_p99=0.0, storage="single")
+    )
     assert stated < 1e-3
     assert np.allclose(light.irradiance @ light.basis.T, exact.irradiance @ exact.basis.T, atol=1e-4)
 

@@ -629,7 +629,6 @@ def test_the_noise_model_weighs_the_exposures_that_give_half_of_a_bands_samples(
 
 def test_options_default_to_the_shipped_configuration():
     shipped = yaml.safe_load((ROOT / "config/config.yaml").read_text())["ingest"]
-    del shipped["captures_per_job"]  # of the workflow: it changes no picture
     assert IngestOptions(**shipped) == IngestOptions()
     schema = yaml.safe_load((ROOT / "irodori/config/schemas/config.schema.yaml").read_text())["properties"]["ingest"]
     accepted = schema["properties"]["demosaic"]["enum"]

@@ -12,10 +12,11 @@ from irodori.command_line import main
 from irodori.config.capture_table import COLUMNS as COLUMNS_OF_TABLE
 from irodori.config.models import Optics
 from irodori.core.errors import InputError
+from irodori.core.left_out import simplest
 from irodori.geometry.distortion import COEFFICIENTS
 from irodori.geometry.pinhole import Pinhole
 from irodori.lens.lens_file import LensFile, optics_in_use
-from irodori.lens.lens_models import Sheet, fit_lens, simplest
+from irodori.lens.lens_models import Sheet, fit_lens
 from irodori.lens.printed_sheets import LENS_SHEET, OBJECT_SHEET
 from irodori.lens.stage import MeasuredLens, calibrate_lens, compared
 

@@ -29,11 +29,11 @@ from irodori.spectra.published import light, spectrum
 from irodori.spectra.resampling import resample_picture
 
 OPTIONS = (
-    CompressOptions(0.1, np.inf, 4, storage="single"),
+    CompressOptions(target_delta_e_mean=0.1, target_delta_e_p99=np.inf, align=4, storage="single"),
     IrradianceMap(max_error=0.002, max_height=64),
     store.Provenance("test"),
 )
-EXACT = CompressOptions(0.0, np.inf, 4, storage="single")
+EXACT = CompressOptions(target_delta_e_mean=0.0, target_delta_e_p99=np.inf, align=4, storage="single")
 
 
 def write_exr(path, pixels, names=("R", "G", "B"), kind="float", shown=None, chromaticities=None):

@@ -29,7 +29,7 @@ from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.spectra.published import refractive_index, spectrum
 
 OPTIONS = (
-    CompressOptions(0.0, np.inf, 4, storage="single"),
+    CompressOptions(target_delta_e_mean=0.0, target_delta_e_p99=np.inf, align=4, storage="single"),
     IrradianceMap(max_error=0.002, max_height=64),
     store.Provenance("test"),
 )

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from irodori.colour.colorimetry import xyz_from_reflectance
 from irodori.material.principal_components.basis_count import CompressOptions
-from irodori.material.principal_components.negative_spectra import count_negative
 from irodori.material.principal_components.repeated_reflection import drift
 from irodori.rendering.reference.band_loops import BANDS, decode, padded
 from irodori.spectra.published import spectrum
@@ -16,16 +15,6 @@ from irodori.spectra.published import spectrum
 
 def observers() -> dict:
     return {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in ("D65", "A")}
-
-
-def test_negative_samples_are_counted_with_their_depth_and_what_clipping_would_add():
-    spectra = np.ones((4, 61))
-    spectra[0, :2] = [-0.5, -0.1]
-    spectra[1, 5] = -0.25
-    found = count_negative(spectra)
-    assert found.fraction == pytest.approx(3 / 244) and found.pixel_fraction == 0.5 and found.pixels == 4
-    assert found.depth_max == 0.5 and 0.49 < found.depth_p99 <= 0.5
-    assert found.clipping_bias == pytest.approx(0.85 / spectra.sum())
 
 
 WAVELENGTHS = padded(np.eye(BANDS))[None]

@@ -529,7 +529,8 @@ def prepared(folder, **given) -> tuple[np.ndarray, dict]:
     """Return the recovered spectra of a place, (8, 16, 61), and what the file says of them."""
     prepare_environment(
         folder / "linear.h5", folder / "calibration.h5", folder / "e.h5",
-        CompressOptions(0.0, np.inf, 8, storage="single"), made(IrradianceMap, {"max_error": 0.1, "max_height": 8}),
+        CompressOptions(target_delta_e_mean=0.0, target_delta_e_p99=np.inf, align=8, storage="single"),
+        made(IrradianceMap, {"max_error": 0.1, "max_height": 8}),
         store.Provenance("test"), **given,
     )  # fmt: skip
     light = Environment.load(folder / "e.h5")

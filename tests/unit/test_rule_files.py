@@ -12,9 +12,6 @@ from irodori.config import models, parts
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.config.scene_files import SceneFiles
 from irodori.core.errors import InputError
-from irodori.fitting.solvers import FitOptions
-from irodori.ingest.ingest_options import IngestOptions
-from irodori.material.principal_components.basis_count import CompressOptions
 
 
 def job(**wildcards):
@@ -128,28 +125,14 @@ def test_scripts_make_the_parts_of_what_the_snakefile_gives(sets, scenes):
     assert models.Camera.of(sets.camera(still_life)).optics == sets.loaded.cameras[whole.camera].optics
 
 
-def test_options_of_stages_have_the_defaults_of_the_configuration():
-    """Three stages check their options themselves: their classes repeat defaults, which must not drift apart."""
-    for own, block in (
-        (FitOptions(), models.Fit()),
-        (IngestOptions(), models.Ingest()),
-        (CompressOptions(), models.Compress()),
-    ):
-        for field in dataclasses.fields(own):
-            if field.name not in ("bounds", "coat", "lamp_radius_deg", "lobes", "registered"):
-                assert getattr(own, field.name) == getattr(block, field.name), field.name
-    assert {name: FitOptions().limits(name) for name in vars(models.FitBounds())} == vars(models.FitBounds())
-
-
 def test_tiles_cover_the_texture(sets, definitions):
     texels = definitions.objects["tile-plate"].texels
     rows = sets.tiles_of("tile-plate")
     assert rows[0][0] == 0 and rows[-1][1] == texels.height
     assert all(first[1] == second[0] for first, second in itertools.pairwise(rows))
     own = [f"results/tile-plate/brdf/tile-{n:03d}.h5" for n in range(len(rows))]
-    assert sets.tile_files("tile-plate", "brdf") == sets.own_tiles(job(object="tile-plate")) == own
-    assert sets.fitted_files("tile-plate") == ["results/tile-plate/surface.h5"]
-    assert sets.tile_rows(job(object="tile-plate", tile="000")) == rows[0]
+    assert sets.own_tiles(job(object="tile-plate")) == own
+    assert sets.fitted_tiles(job(object="tile-plate")) == ["results/tile-plate/surface.h5"]
 
 
 def test_every_capture_is_ingested_once(sets, definitions):
@@ -259,10 +242,10 @@ def test_a_sheet_needs_its_back_and_the_photographs_that_tell_its_transmittance(
     # The error budget takes the back as an object of its own.
     assert scenes.truth_is_rendered("still-life")
     assert len(scenes.subjects(scene)) == len(scenes.calibrations(scene)) == 5
-    assert set(sets.fitted_files("rear")) < set(scenes.tiles(scene))
+    assert set(sets.fitted_tiles(job(object="rear"))) < set(scenes.tiles(scene))
     plate, rear = job(object="tile-plate"), job(object="rear")
     assert sets.observations_of_sheet(plate) == sets.observed_tiles(plate) != []
-    assert sets.observations_of_sheet(rear) == [] and sets.thin_sheet(rear) == {"transmittance": "TCS81"}
+    assert sets.observations_of_sheet(rear) == []
     edit(root, "scenes/still-life.yaml", "objects.0.back", "leaf-sphere")
     said = "found leaf-sphere, a sphere, on the back of a plate; accepted: an object of the shape plate"
     assert said in str(fault(root))

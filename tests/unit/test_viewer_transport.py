@@ -15,6 +15,7 @@ from scenes import constant_light, material
 from shortcuts import irradiance_map
 from written_pages import SIZE, Written, agree, compared, differences, inside
 
+from irodori.colour.colorimetry import delta_e_xyz
 from irodori.colour.display import make_display, srgb, standard_display
 from irodori.colour.icc import Profile, write_profile
 from irodori.colour.tone_curves import ParametricCurve
@@ -26,7 +27,7 @@ from irodori.rendering.scene_arrays import make_view
 from irodori.rendering.scene_lights import make_lights
 from irodori.spectra.published import light, spectrum
 from irodori.viewer.browser import browser_command, opened
-from irodori.viewer.measured import frame_bands, prepared, xyz_differences
+from irodori.viewer.measured import frame_bands, prepared
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import page_html
 from irodori.viewer.stage import white_of
@@ -517,7 +518,7 @@ def test_a_lamp_nearby_lights_by_its_formula(dark, size):
     # What is lit in part is the shadow's soft edge.
     assert lit.sum() > 400 and shut.sum() > 5 and (seen & (free > 0.0) & (free < 1.0)).sum() > (20 if size else -1)
     for some in (lit, lit & (free == 1.0)):
-        found = xyz_differences(wanted[some], xyz[some], white)
+        found = delta_e_xyz(wanted[some], xyz[some], white)
         assert agree(found), (found.mean(), np.percentile(found, 99))
     assert np.abs(xyz[shut]).max() < 1e-6 * wanted[lit].max()
 
@@ -548,7 +549,7 @@ def test_a_balls_soft_shadow_is_that_of_many_lamps_of_the_renderer(tmp_path):
         hard, _ = page.read_xyz(state, 64, 48)
         assert page.messages == []
     seen = inside(objects) & (objects >= 0)
-    found, other = (xyz_differences(bands[seen] @ matrix.T, one[seen], matrix @ white) for one in (xyz, hard))
+    found, other = (delta_e_xyz(bands[seen] @ matrix.T, one[seen], matrix @ white) for one in (xyz, hard))
     assert agree(found), (found.mean(), np.percentile(found, 99))
     assert not agree(other)
 

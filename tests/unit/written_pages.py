@@ -3,10 +3,11 @@
 import numpy as np
 from scipy import ndimage
 
+from irodori.colour.colorimetry import delta_e_xyz
 from irodori.config.models import Size
 from irodori.rendering.scene_arrays import make_view
 from irodori.viewer.browser import OpenPage
-from irodori.viewer.measured import frame_bands, prepared, xyz_differences
+from irodori.viewer.measured import frame_bands, prepared
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import page_html
 from irodori.viewer.stage import swapped, white_of
@@ -45,7 +46,7 @@ def inside(objects) -> np.ndarray:
 
 
 def differences(wanted, white, xyz, objects) -> np.ndarray:
-    return xyz_differences(wanted, xyz, white)[inside(objects)]
+    return delta_e_xyz(wanted, xyz, white)[inside(objects)]
 
 
 def agree(found) -> bool:

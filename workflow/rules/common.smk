@@ -1,6 +1,6 @@
 from irodori.config.definition import as_plain
 from irodori.config.definitions import load_definitions
-from irodori.config.photograph_sets import PhotographSets
+from irodori.config.photograph_sets import PhotographSets, material_definition, material_files
 from irodori.config.reports import Reports
 from irodori.config.scene_files import SceneFiles
 from irodori.core.errors import InputError

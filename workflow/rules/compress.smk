@@ -4,7 +4,7 @@ rule compress_reflectance:
         lobes="results/{object}/lobes.h5",
         observations=sets.observations_of_sheet,
         levels=sets.levels_of_sheet,
-        user_files=ancient(sets.material_files),
+        user_files=ancient(lambda wildcards: material_files(loaded.objects[wildcards.object])),
         calibration=sets.camera_file("results/cameras/{camera}/calibration.h5"),
     output:
         material="results/{object}/material.h5",
@@ -21,10 +21,10 @@ rule compress_reflectance:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        definition=sets.material_definition,
+        definition=lambda wildcards: material_definition(loaded.objects[wildcards.object]),
         compress=lookup(within=config, dpath="compress"),
         lights=lookup(within=config["report"], dpath="lights"),
-        user_files=ledger.content(sets.material_files),
+        user_files=ledger.content(lambda wildcards: material_files(loaded.objects[wildcards.object])),
         code=code_hash("irodori.material.stage", "irodori.core.made_of"),
     script:
         "../scripts/compress_reflectance.py"

@@ -25,7 +25,7 @@ rule register_object:
         white_pose=sets.white_pose,
         rig=sets.rig_geometry,
         place=lookup(within=config, dpath="place"),
-        markers=sets.markers,
+        markers=lookup(within=config["objects"], dpath="{object}/markers", default=None),
         fit=lookup(within=config, dpath="fit"),
         lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
         coat=lookup(within=config["objects"], dpath="{object}/coat"),
@@ -100,8 +100,8 @@ rule rectify_object:
         shape=lookup(within=config["objects"], dpath="{object}/shape"),
         texels=lookup(within=config["objects"], dpath="{object}/texels"),
         placements=lookup(within=config["objects"], dpath="{object}/placements"),
-        sheet=sets.thin_sheet,
-        rows=sets.tile_rows,
+        sheet=lookup(within=config["objects"], dpath="{object}/sheet", default=None),
+        rows=lambda wildcards: sets.tiles_of(wildcards.object)[int(wildcards.tile)],
         optics=sets.optics,
         white_pose=sets.white_pose,
         rig=sets.rig_geometry,
@@ -129,7 +129,7 @@ rule measure_patch:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        patch=sets.level_patch,
+        patch=lookup(within=config["objects"], dpath="{object}/level_patch"),
         shape=lookup(within=config["objects"], dpath="{object}/shape"),
         texels=lookup(within=config["objects"], dpath="{object}/texels"),
         placements=lookup(within=config["objects"], dpath="{object}/placements"),

@@ -7,19 +7,18 @@ from dataclasses import dataclass, field, replace
 import numba
 import numpy as np
 
-from irodori.colour.colorimetry import summary
+from irodori.colour.colorimetry import delta_e_of_light, summary
+from irodori.config.definition import check_choices
+from irodori.config.models import Compress
 from irodori.core import store
 from irodori.jit.half_precision import half_from_single
 from irodori.material.coefficients import (
     from_half,
     half_scale,
-    require_storage,
     reserve_coefficients,
 )
-from irodori.material.principal_components.decomposition import WEIGHTINGS, Decomposition, decompose
-from irodori.material.principal_components.negative_spectra import Negative, count_negative
+from irodori.material.principal_components.decomposition import Decomposition, decompose
 from irodori.material.principal_components.pixel_tiles import Tiles
-from irodori.material.principal_components.repeated_reflection import colour_error
 from irodori.material.principal_components.second_moments import Moments, second_moments
 from irodori.spectra.grid import SAMPLES
 
@@ -28,36 +27,16 @@ _PIECE = 4096  # pixels whose colours are compared together
 _DEVIATIONS = 2.33  # standard deviations under which a sample's mean or percentile stays in 99 of 100 pictures
 
 
-@dataclass(frozen=True)
-class CompressOptions:
-    """Options of compression: the keys of ``compress`` in the configuration.
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class CompressOptions(Compress):
+    """The ``compress`` block of the configuration.
 
-    Parameters
-    ----------
-    target_delta_e_mean, target_delta_e_p99 : float
-        Limits of the mean and the 99th percentile of CIEDE2000 under every light, rounding in storage included. If only
-        a sample of the picture is compared, they apply to upper bounds at 99 % confidence.
-    align : int
-        The number of basis vectors is rounded up to a multiple of this, but not beyond the picture's rank.
-    weighting : str
-        ``nothing``: all wavelengths have equal weight; ``visual``: weights by colour-matching functions and lights.
-    storage : str
-        ``half`` or ``single`` precision.
-    codec : str
-        ``gzip`` or ``lzf``.
+    The limits of the errors include rounding in storage. If only a sample of the picture is compared, they apply to
+    upper bounds at 99 % confidence.
     """
 
-    target_delta_e_mean: float = 0.1
-    target_delta_e_p99: float = 0.5
-    align: int = 4
-    weighting: str = "nothing"
-    storage: str = "half"
-    codec: str = "gzip"
-
     def __post_init__(self) -> None:
-        require_storage(self.storage, self.codec)
-        if self.weighting not in WEIGHTINGS:
-            raise ValueError(f"unknown weighting {self.weighting!r}; accepted: {', '.join(WEIGHTINGS)}")
+        check_choices(self)
         if self.align < 1:
             raise ValueError(f"align {self.align}; accepted: 1 or more")
 
@@ -86,8 +65,8 @@ class Compression:
     rank, pixels, masked : int
         Rank of the picture's second moments; number of all pixels; number of those that are not finite, which have no
         coefficients.
-    negative : Negative
-        Negative values in the decoded sample.
+    negative : float
+        Share of the decoded sample's values, of all pixels and wavelengths, that are below zero.
     sample : (n, r) float32
         Pixels from which the errors are computed.
     """
@@ -102,7 +81,7 @@ class Compression:
     rank: int
     pixels: int
     masked: int
-    negative: Negative
+    negative: float
     sample: np.ndarray = field(repr=False)
 
     @property
@@ -135,7 +114,7 @@ class Compression:
             "budget_met": self.budget_met,
             "pixels": self.pixels,
             "masked_pixels": self.masked,
-            "negative": self.negative.as_dict(),
+            "negative": self.negative,
         }
 
     def tiles(self, source) -> Iterator[np.ndarray]:
@@ -270,10 +249,10 @@ class _Trial:
         return replace(made, errors=errors, budget_met=met)
 
     def finished(self, made: Compression) -> Compression:
-        """Return a copy of a compression with its spectral error and its count of negative values filled in."""
+        """Return a copy of a compression with its spectral error and its share of negative values filled in."""
         decoded = made.decode(made.encode(self._moments.sample)) @ made.basis.T
         rmse = float(np.sqrt(np.mean((self._spectra - decoded) ** 2)))
-        return replace(made, rmse=rmse, negative=count_negative(decoded))
+        return replace(made, rmse=rmse, negative=float((decoded < 0).mean()))
 
     def _made(self, count: int) -> Compression:
         moments, storage = self._moments, self._options.storage
@@ -282,7 +261,7 @@ class _Trial:
         if storage == "half":
             scale = half_scale(np.linalg.norm(encoder, axis=1) * moments.largest_norm)
         return Compression(vectors, encoder, scale, storage, {}, 0.0, False, self._found.rank, moments.pixels,
-                           moments.masked, Negative(0, 0.0, 0.0, 0.0, 0.0, 0.0), moments.sample)  # fmt: skip
+                           moments.masked, 0.0, moments.sample)  # fmt: skip
 
     def _errors(self, made: Compression, part: slice) -> dict:
         sample = self._moments.sample[part]
@@ -292,7 +271,7 @@ class _Trial:
             piece = slice(first, first + _PIECE)
             stored = made.decode(made.encode(sample[piece]))
             return [
-                colour_error(before[light][piece], stored @ (matrix @ made.basis).T, white)
+                delta_e_of_light(before[light][piece], stored @ (matrix @ made.basis).T, white)
                 for light, (matrix, white) in self._observers.items()
             ]
 

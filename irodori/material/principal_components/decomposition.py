@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-WEIGHTINGS = ("nothing", "visual")
 #: Share of equal weights for all wavelengths in the visual weighting, so that parts of a spectrum that are invisible
 #: under all lights come last instead of being undetermined.
 _SPECTRAL_SHARE = 1e-3

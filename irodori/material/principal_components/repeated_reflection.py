@@ -2,19 +2,10 @@
 
 import numpy as np
 
-from irodori.colour.colorimetry import delta_e, lab_from_xyz, spectral_rmse, summary
+from irodori.colour.colorimetry import delta_e_of_light, spectral_rmse, summary
 
 REFLECTIONS = 5
 _CHAINS = 20_000
-
-
-def colour_error(before: np.ndarray, after: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between tristimulus values (n, 3); pairs brighter than white are scaled down to its luminance.
-
-    CIELAB is defined for surface colours; without the scaling, the error of a lamp would grow with its brightness.
-    """
-    scale = np.maximum(before[:, 1:2] / white[1], 1.0)
-    return delta_e(lab_from_xyz(before / scale, white), lab_from_xyz(after / scale, white))
 
 
 def drift(
@@ -62,7 +53,7 @@ def drift(
         row: dict[str, object] = {"reflections": number}
         for prefix, values in {"": product, "projected_": projected}.items():
             row[f"{prefix}delta_e"] = {
-                light: summary(colour_error(wanted[light], values @ matrix, white))
+                light: summary(delta_e_of_light(wanted[light], values @ matrix, white))
                 for light, (matrix, white) in matrices.items()
             }
             row[f"{prefix}rmse"] = float(exposure * spectral_rmse(exact, values).mean())

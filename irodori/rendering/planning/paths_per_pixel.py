@@ -2,11 +2,11 @@
 
 import math
 
-from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.colour.colorimetry import delta_e_xyz, xyz_from_radiance
 from irodori.config.models import ReferenceIntegrator, Scene
 from irodori.light.environment_file import Environment
 from irodori.rendering.planning.planned_check import chosen_pixels
-from irodori.rendering.planning.tolerance import SHARE, bound_of_share, differences
+from irodori.rendering.planning.tolerance import SHARE, bound_of_share
 from irodori.rendering.reference.converging_picture import make_scene
 from irodori.rendering.reference.distance import traced_halves
 from irodori.rendering.scene_arrays import Objects, View
@@ -50,7 +50,7 @@ def plan_reference(
         # At outlines, where points cover a pixel evenly, the noise falls faster than with the root, and so it rises
         # faster if there are fewer paths than here: pilots have no more paths there, the picture has.
         one, other = traced_halves(prepared, view, pixels, 2 * PILOT_PATHS, _PILOT_SEED, more=1) @ matrix.T
-        bounds.append(bound_of_share(differences(one, other, matrix @ white)))
+        bounds.append(bound_of_share(delta_e_xyz(one, other, matrix @ white)))
         found += len(pixels)
     # The noisiest view counts. The difference of two renderings is √2 times the error of one.
     noise = max(bounds) / math.sqrt(2.0)

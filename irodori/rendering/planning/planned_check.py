@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.colour.colorimetry import summary
+from irodori.colour.colorimetry import delta_e_xyz, summary
 from irodori.core.errors import PlainError
 from irodori.rendering.planning.scene_plan import ScenePlan
-from irodori.rendering.planning.tolerance import SHARE, differences
+from irodori.rendering.planning.tolerance import SHARE
 from irodori.rendering.reference.distance import Distance
 from irodori.rendering.scene_arrays import View
 
@@ -39,7 +39,7 @@ def chosen_pixels(view: View, count: int = PIXELS, seed: int = SEED) -> np.ndarr
 
 def measure(planned: np.ndarray, full: np.ndarray, white_xyz: np.ndarray) -> PixelDifferences:
     """Return statistics of CIEDE2000 between pixels of a picture and of the full model, (n, 3) XYZ each."""
-    found = summary(differences(full, planned, white_xyz))
+    found = summary(delta_e_xyz(full, planned, white_xyz))
     return PixelDifferences(int(found["count"]), found["mean"], found["p95"], found["p99"], found["max"])
 
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.colour.colorimetry import delta_e_xyz, xyz_from_radiance
 from irodori.config.models import PlanOverrides
 from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.planning.modelled_scene import Model, SceneParts, look_up_numbers, solved_nodes, widths_of
 from irodori.rendering.planning.probes import Changes, Probes
-from irodori.rendering.planning.tolerance import bound_of_share, differences
+from irodori.rendering.planning.tolerance import bound_of_share
 from irodori.rendering.scene_arrays import Light
 
 #: Number of probes per view, and the seed of their points, which differs from that of the checked pixels.
@@ -83,7 +83,7 @@ class ScenePlanner:
     def differences(self, radiance: np.ndarray, xyz: Callable | None = None) -> np.ndarray:
         """Return CIEDE2000 of the probes' radiance, (count, 61), to that of the full model, (count,)."""
         found = (xyz or (lambda spectra: spectra @ self.matrix.T))(radiance)
-        return differences(self.truth, found, self.white_xyz)
+        return delta_e_xyz(self.truth, found, self.white_xyz)
 
     def bound(self, errors: np.ndarray) -> float:
         """Return the largest error bound of any view, see `bound_of_share`, because each picture is checked alone."""

@@ -2,17 +2,10 @@
 
 import numpy as np
 
-from irodori.colour.colorimetry import delta_e, lab_from_xyz
-
 #: Share of the pixels that have to keep the tolerance.
 SHARE = 0.99
 #: Certainty with which a bound from a sample holds for the whole.
 _CERTAINTY = 0.999
-
-
-def differences(xyz: np.ndarray, other: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between pixels, (n, 3) XYZ each, for a white, (3,) XYZ."""
-    return delta_e(lab_from_xyz(xyz, white_xyz), lab_from_xyz(other, white_xyz))
 
 
 def bound_of_share(values: np.ndarray) -> float:

@@ -14,7 +14,6 @@ from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 from irodori.simulation.virtual_rig.imperfections import Faults, lamp_light
-from irodori.simulation.virtual_rig.mishaps import Mishap
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.scene_view import scene_mosaic, scene_radiance
 from irodori.simulation.virtual_rig.sensor import Sensor, band_weights
@@ -48,8 +47,7 @@ class VirtualCamera(CameraDevice):
 
     suffix = ".dng"
     is_virtual = True
-    #: Mistakes in the next photographs.
-    mishap = Mishap()
+    model = "virtual camera"
 
     def __init__(
         self,
@@ -70,7 +68,6 @@ class VirtualCamera(CameraDevice):
         self.light = lamp_light(rig)
         self.band_weights = band_weights(camera, self.light)
         self.faults = Faults(rig.virtual.imperfections, rig.virtual.seed, session, shots)
-        self._last: np.ndarray | None = None
 
     @cached_property
     def sample(self) -> Sample:
@@ -105,26 +102,27 @@ class VirtualCamera(CameraDevice):
 
     def capture(self, shot: Shot, path: Path) -> None:
         """Photograph the bench into a file; the shot determines the exposure time and the place in the session."""
-        mishap = self.mishap
-        if self._last is None or not mishap.delivers_last:
-            response, hot_rate = self._seen(shot)
-            light = mishap.seen(self.faults.light(shot) * response)
-            self._last = self.sensor.expose(light, shot.exposure_s, self.faults.noise(shot), hot_rate)
         write_dng(
             path,
-            self._last[: len(self._last) - mishap.cut_px],
+            self._exposed(shot),
             black_level=self.sensor.black_level,
             white_level=self.sensor.white_level,
             exposure_s=shot.exposure_s,
-            model=mishap.body or "virtual camera",
+            model=self.model,
             iso=shot.iso,
             f_number=shot.f_number,
         )
 
+    def _exposed(self, shot: Shot) -> np.ndarray:
+        """Return the numbers of the mosaic, (height, width)."""
+        response, hot_rate = self._seen(shot)
+        light = self.faults.light(shot) * response
+        return self.sensor.expose(light, shot.exposure_s, self.faults.noise(shot), hot_rate)
+
     def _seen(self, shot: Shot):
         """Return the mosaic's responses after the optics, and the extra dark current of hot pixels, electrons/s."""
-        subject = self.mishap.subject or self.bench.subject
-        state = FILTERS.index(self.mishap.filter or self.bench.filter)
+        subject = self.bench.subject
+        state = FILTERS.index(self.bench.filter)
         weights = self.band_weights[3 * state : 3 * state + 3]
         if subject == "environment" and isinstance(self.subject, EnvironmentDefinition):
             # A panorama is stitched or unwrapped: vignetting and hot pixels are corrected there.
@@ -170,7 +168,7 @@ class VirtualCamera(CameraDevice):
     def status(self) -> dict[str, str]:
         """Return the camera's model, battery, storage and bit depth as text."""
         bits = str(self.sensor.bits)
-        return {"model": "virtual camera", "battery": "100 %", "storage": "unlimited", "bits": bits}
+        return {"model": self.model, "battery": "100 %", "storage": "unlimited", "bits": bits}
 
     def close(self) -> None:
         """Do nothing, because a virtual camera holds no resources."""
