@@ -400,8 +400,9 @@ def test_other_pictures_and_files_are_refused(visit):
         ("a.doc", b"x", "neither a saved picture"),
         ("short.csv", b"450,1\n600,1\n", "450–600 nm"),
         ("none.csv", b"", "needed"),
-        ("dark.csv", b"400,0\n700,0\n", "power"),
-        ("minus.csv", b"400,1\n500,-1\n700,1\n", "negative"),
+        ("gap.csv", b"400,1\n700,1\n", "for more than 20 nm after 400 nm"),
+        ("dark.csv", b"".join(b"%d,0\n" % nm for nm in range(400, 710, 10)), "none at all"),
+        ("minus.csv", b"".join(b"%d,%d\n" % (nm, -1 if nm == 500 else 1) for nm in range(400, 710, 10)), "negative"),
         ("words.csv", b"wavelength,power\n400,1\n500,much\n700,1\n", "500,much"),
     ]
     for name, content, sentence in cases:
