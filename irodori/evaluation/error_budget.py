@@ -173,9 +173,16 @@ class _Pictures:
         scale = min(1.0, width_px / image.width)
         return Size(width=max(1, round(scale * image.width)), height=max(1, round(scale * image.height)))
 
-    def paths(self, materials: list[Material], light: Environment, samples=_SAMPLES, width_px=_WIDTH_PX) -> np.ndarray:
-        """Render radiance, (height, width, 61), with the integrator ``reference``; random numbers never change."""
-        return self.by_paths.picture(materials, light, samples, image=self._image(width_px))
+    def paths(self, materials: list[Material], light: Environment, shown: np.ndarray | None = None) -> np.ndarray:
+        """Render radiance, (height, width, 61), or (n, 61) of the pixels shown, with the integrator ``reference``.
+
+        Random numbers never change.
+        """
+        return self.by_paths.picture(materials, light, _SAMPLES, self._image(_WIDTH_PX), shown)
+
+    def long_paths(self, materials: list[Material], light: Environment, shown: np.ndarray) -> np.ndarray:
+        """Render pixels of a smaller picture, (n, 61), with more paths each."""
+        return self.by_paths.picture(materials, light, _LONG_SAMPLES, self._image(_WIDTH_PX / _LONG_SHARE), shown)
 
     def own(self, materials: list[Material], light: Environment, width_px: float, baked: bool = True) -> np.ndarray:
         """Render radiance (height, width, 61) with the integrator that the scene chooses, or without its light maps."""
@@ -211,24 +218,29 @@ class _Budget:
         self._white, self._seen_white = (scene_white(pictures.scene, light)[0] for light in lights[::-1])
         self._parts = [substitutes(one) for one in objects]
         self._estimates = self._of_stage("all")
-        self._true = pictures.paths(self._truths, self._true_light)
-        differs = (pictures.paths(self._estimates, self._true_light) != self._true).any(axis=-1)
+        true = pictures.paths(self._truths, self._true_light)
+        differs = (pictures.paths(self._estimates, self._true_light) != true).any(axis=-1)
+        # Of all further pictures, only these pixels are rendered: those that show objects.
         self._shown = differs & ~pictures.bodies()
-        self._base = pictures.paths(self._estimates, self._estimated_light)
-        self._squares = np.zeros(int(self._shown.sum()))
+        self._true = true[self._shown]
+        self._base = self._paths(self._estimates, self._estimated_light)
+        self._squares = np.zeros(len(self._true))
         self._rng = np.random.default_rng(_SEED)
         self.rows: list[BudgetRow] = []
 
     def _of_stage(self, stage: str) -> list[Material]:
         return [parts[stage] for parts in self._parts]
 
+    def _paths(self, materials: list[Material], light: Environment) -> np.ndarray:
+        return self._pictures.paths(materials, light, self._shown)
+
     def _off(self, materials: list[Material], light: Environment) -> np.ndarray:
-        return radiance_delta_e(self._true, self._pictures.paths(materials, light), self._white)[self._shown]
+        return radiance_delta_e(self._true, self._paths(materials, light), self._white)
 
     def _moved(self, materials: list[Material], light: Environment | None = None, base=None) -> np.ndarray:
         """Return CIEDE2000 between a picture and that of measured materials and light, at pixels that show objects."""
-        picture = self._pictures.paths(materials, self._estimated_light if light is None else light)
-        return radiance_delta_e(self._base if base is None else base, picture, self._seen_white)[self._shown]
+        picture = self._paths(materials, self._estimated_light if light is None else light)
+        return radiance_delta_e(self._base if base is None else base, picture, self._seen_white)
 
     def _drawn(self, draw: Callable) -> list[Material]:
         return [draw(one.known, estimate) for one, estimate in zip(self._objects, self._estimates, strict=True)]
@@ -282,7 +294,7 @@ class _Budget:
                 ]
                 for end in (0, 1)
             )
-            found.append(self._moved(filled, base=self._pictures.paths(there, self._estimated_light)))
+            found.append(self._moved(filled, base=self._paths(there, self._estimated_light)))
         return np.mean(found, axis=0)
 
     def add_light(self) -> None:
@@ -312,7 +324,7 @@ class _Budget:
         Its prediction in a pixel is the root of the summed squares of those parts that have one for every pixel, or
         one number for all.
         """
-        values = radiance_delta_e(self._true, self._base, self._white)[self._shown]
+        values = radiance_delta_e(self._true, self._base, self._white)
         self._add("all but the renderer", values, np.sqrt(self._squares), "root of the sum of squares in every pixel")
 
     def add_renderer(self) -> None:
@@ -321,13 +333,11 @@ class _Budget:
             self._add_noise(self._pictures.scene.integrator)
             return
         width_px = _WIDTH_PX / _LONG_SHARE
-        long = self._pictures.paths(self._truths, self._true_light, _LONG_SAMPLES, width_px)
-        own = self._pictures.own(self._truths, self._true_light, width_px)
         shown = self._pictures.touched(self._truths, self._estimates, self._true_light, width_px)
+        long = self._pictures.long_paths(self._truths, self._true_light, shown)
+        own = self._pictures.own(self._truths, self._true_light, width_px)[shown]
         by = "none: what an integrator leaves out is seen beside paths alone"
-        self._add(
-            "renderer: what the integrator leaves out", radiance_delta_e(long, own, self._white)[shown], np.nan, by
-        )
+        self._add("renderer: what the integrator leaves out", radiance_delta_e(long, own, self._white), np.nan, by)
 
     def _add_noise(self, integrator: ReferenceIntegrator) -> None:
         paths = self._pictures.by_paths

@@ -10,7 +10,13 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import with_backs, with_bodies
-from irodori.rendering.reference.converging_picture import REPLICATES, TracedScene, make_scene, render_rows
+from irodori.rendering.reference.converging_picture import (
+    REPLICATES,
+    TracedScene,
+    make_scene,
+    render_places,
+    render_rows,
+)
 from irodori.rendering.reference.denoising import MARGIN, Halves, filtered_halves, make_guides, squared_error
 from irodori.rendering.reference.distance import body_pixels
 from irodori.rendering.reference.filling_cache import with_cache
@@ -63,8 +69,15 @@ class Paths:
             self._numbers[samples, seed] = make_numbers(samples, seed, REPLICATES, MORE_AT_OUTLINES)
         return self._numbers[samples, seed]
 
-    def picture(self, materials: list[Material], light: Environment, samples: int, image=None) -> np.ndarray:
-        """Render the view and return radiance, (height, width, 61) float32.
+    def picture(
+        self,
+        materials: list[Material],
+        light: Environment,
+        samples: int,
+        image: Size | None = None,
+        shown: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Render the view and return radiance, (height, width, 61) float32, or that of some pixels, (n, 61).
 
         Parameters
         ----------
@@ -75,10 +88,14 @@ class Paths:
             Paths per pixel, a multiple of 8.
         image : Size, optional
             Size of the picture; the scene's by default.
+        shown : (height, width) bool, optional
+            Pixels to render, row by row; they are as in the whole picture.
         """
         view = make_view(self.scene.views[self._view], image or self.scene.image)
-        prepared = self._scene(materials, light)
-        return render_rows(prepared, view, self._numbers_of(samples, 0), (0, view.height)).radiance
+        prepared, numbers = self._scene(materials, light), self._numbers_of(samples, 0)
+        if shown is None:
+            return render_rows(prepared, view, numbers, (0, view.height)).radiance
+        return render_places(prepared, view, numbers, np.argwhere(shown)[:, None, ::-1]).radiance[:, 0]
 
     def blocks(
         self, materials: list[Material], light: Environment, samples: int, seed: int, margin: int, cached: bool = False
