@@ -119,7 +119,11 @@ def check_level(charts: Charts, level: np.ndarray, limit: float) -> None:
     found = f"a chart {level[worst]:.3f} times as bright in {band_name(worst, charts.filters)} as its spectra and the "
     found += f"white reference say (all bands: {level.min():.3f} to {level.max():.3f})"
     if abs(level[worst] - 1.0) <= limit:
-        LOGGER.warning("%s: %s; gloss or colours are wrong by as much", charts.photographs[0].path, found)
+        LOGGER.warning(
+            "%s: %s; gloss or colours may be wrong by as much, which the errors of α and β contain",
+            charts.photographs[0].path,
+            found,
+        )
         return
     accepted = f"{1 - limit:g} to {1 + limit:g} (calibration.max_level_difference): chart and white reference in one "
     accepted += "place, light and aperture, and white.reflectance_factor of that white"

@@ -98,14 +98,15 @@ def calibrate_camera(
         level = _level_beside_white(charts, training)
         if level.size:
             check_level(charts, level, settings.max_level_difference)
-        checks = _checks(charts, training, solved, lights) | {"level": level.tolist(), "likelier_charts": likelier}
+        checks = _checks(charts, training, solved, lights) | {"likelier_charts": likelier}
         checks |= {"response_model": _response_model(training.best_response)}
-    calibration = replace(solved.calibration, light_error=lamp_error(light_name, light_error_percent))
+    lamp = lamp_error(light_name, light_error_percent)
+    calibration = replace(solved.calibration, light_error=lamp, level=tuple(level.tolist()))
     _write_calibration(output, calibration, errors, solved.numbers | checks, provenance)
     _write_errors(table, charts.patches, errors)
     if selection is not None:
         write_selection(selection, solved.rows, solved.chosen)
-    _log(solved, errors, checks)
+    _log(replace(solved, calibration=calibration), errors, checks)
 
 
 def _given(camera: Camera | CalibratedCamera, charts: Charts) -> Given:
@@ -287,8 +288,8 @@ def _log(solved: Solution, errors: dict, checks: dict) -> None:
             LOGGER.info("CIEDE2000 under %s: mean %.2f p95 %.2f max %.2f", light_name, s["mean"], s["p95"], s["max"])
     LOGGER.info("condition number %.4g, noise amplification %.4g", *solved.numbers.values())
     LOGGER.info("light on the chart: %s", checks["light_on_chart"])
-    if checks["level"]:
-        LOGGER.info("level beside the white reference: %s", " ".join(f"{value:.3f}" for value in checks["level"]))
+    if level := solved.calibration.level:
+        LOGGER.info("level beside the white reference: %s", " ".join(f"{value:.3f}" for value in level))
     _log_response_model(checks["response_model"])
     for field, name in checks["likelier_charts"].items():
         LOGGER.warning("%s: the photograph agrees clearly better with the spectra of %s", field, name)

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from irodori.config.capture_table import Pose
@@ -115,7 +116,10 @@ def shape(text: str) -> dict[str, Any]:
     """Read the shape of an object; return the block ``shape`` of its definition."""
     kind, _, rest = text.strip().partition(" ")
     if kind in _FILES and rest.strip():
-        return {"kind": kind, "file": rest.strip(), "unit": "mm"}
+        # glTF defines metres, and y upward; other formats state neither.
+        is_gltf = Path(rest.strip()).suffix.lower() in (".glb", ".gltf")
+        laid = {"unit": "m", "up": "y"} if is_gltf else {"unit": "mm", "up": "z"}
+        return {"kind": kind, "file": rest.strip(), **laid}
     sizes, keys = _words(rest), _SIZES.get(kind, ())
     if len(sizes) == 1:
         sizes *= len(keys)  # one number is every size of the shape: a square's
@@ -124,7 +128,7 @@ def shape(text: str) -> dict[str, Any]:
             return {"kind": kind, **{key: positive(size) for key, size in zip(keys, sizes, strict=True)}}
     except ValueError:
         pass
-    raise ValueError("plate WIDTH HEIGHT, plate SIDE, sphere RADIUS (mm), or mesh FILE (in mm)")
+    raise ValueError("plate WIDTH HEIGHT, plate SIDE, sphere RADIUS (mm), or mesh FILE")
 
 
 def answer(question: Question, given: Mapping[str, Any], source, ask: Callable[[str], str] | None) -> Any | None:

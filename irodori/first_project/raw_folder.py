@@ -18,7 +18,10 @@ from irodori.ingest.tiff_tags import RATIONAL, read_tags
 _ACCEPTED = "RAW files of one camera, such as DNG, CR2, NEF or ARW"
 _PICTURES = "TIFF or PNG pictures, as --linear says"
 #: Suffixes of files that commonly lie beside photographs.
-_BESIDE = (".csv", ".txt", ".xmp", ".yaml", ".yml", ".md", ".pp3", ".json", ".html", ".lp", ".db", ".ini")
+_BESIDE = (
+    ".csv", ".txt", ".xmp", ".yaml", ".yml", ".md", ".pp3", ".json", ".html", ".lp", ".db", ".ini", ".dop", ".cos",
+    ".on1", ".thm", ".mov", ".mp4", ".avi", ".doc", ".docx", ".odt", ".xls", ".xlsx", ".ods",
+)  # fmt: skip
 _PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH = 41486, 41488, 40962
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 #: Largest relative difference between the width of the picture in the metadata and that of the mosaic with its margins.

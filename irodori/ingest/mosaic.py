@@ -230,7 +230,8 @@ def _read(path, use):
     except InputError:
         raise
     except (rawpy.LibRawError, AttributeError, TypeError, ValueError) as error:
-        unknown = f"a file LibRaw cannot decode ({str(error) or type(error).__name__})"
+        said = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
+        unknown = f"a file LibRaw cannot decode ({said or type(error).__name__})"
         reason = kind_instead_of_raw(path) or unknown
         raise InputError(path, "", reason, _WHOLE) from None
 

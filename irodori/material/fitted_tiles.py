@@ -78,6 +78,9 @@ class FittedTiles:
     misfit : float
         Multiplies all standard errors that are read; 1 unless it is set. Above 1 no model predicts the photographs
         (`irodori.material.lobe_choices.Comparison.misfit`), and what a fit calls determined is contradicted.
+    white_error : float
+        Relative error of the level of the white reference, which is added to all errors of α and β that are read; 0
+        unless it is set.
 
     Raises
     ------
@@ -87,7 +90,7 @@ class FittedTiles:
 
     def __init__(self, paths: list, height: int, width: int) -> None:
         self.first, self.height, self.width, self.filters = paths[0], height, width, None
-        self.misfit = 1.0
+        self.misfit, self.white_error = 1.0, 0.0
         self.lobes: tuple[str, ...] = ()
         self.coat = SUM
         self.speed: dict = dict.fromkeys(SPEED, 0)
@@ -141,7 +144,20 @@ class FittedTiles:
         part = slice(tile.start * self.width, (tile.start + last - first) * self.width)
         with store.open_file(tile.path) as file:
             found = {name: self._believed(name, file.read(name, part)) for name in names}
+            if self.white_error:
+                for name in found.keys() & self._scaled_errors():
+                    scaled = file.read(name.removesuffix("_error"), part)
+                    found[name] = np.hypot(found[name], scaled.dtype.type(self.white_error) * scaled)
         return {name: one.reshape(last - first, self.width, *one.shape[1:]) for name, one in found.items()}
+
+    @property
+    def shared_error(self) -> float:
+        """Relative error of α and β, as they are read, that all texels share; NaN if the tiles do not state it."""
+        return math.hypot(self.misfit * self.common_error, self.white_error)
+
+    def _scaled_errors(self) -> set[str]:
+        """Return the names of the errors of what is proportional to the level of the light."""
+        return {"alpha_error", *(f"{gloss_names(component)[0]}_error" for component in range(len(self.lobes)))}
 
     def _believed(self, name: str, values: np.ndarray) -> np.ndarray:
         """Return a map as far as it is believed if the model contradicts left-out photographs."""

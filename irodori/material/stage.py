@@ -88,7 +88,7 @@ class _Reflectance:
         the level that all texels share. Where the fit states α without an error, all of the light may be gloss.
         """
         alpha, own = maps["alpha"], maps["alpha_error"].astype(np.float64)
-        level = 0.0 if math.isnan(self.fitted.common_error) else self.fitted.misfit * self.fitted.common_error
+        level = 0.0 if math.isnan(self.fitted.shared_error) else self.fitted.shared_error
         noise = maps["diffuse_variance"][..., _GREEN] if self.is_noise_known else 0.0
         shared = np.sqrt(np.fmax(own**2 - (level * alpha) ** 2 - noise, 0.0))
         return np.where(np.isfinite(own), shared, np.abs(maps["diffuse_response"][..., _GREEN]))
@@ -246,6 +246,8 @@ def compress_reflectance(
         found = "no response model"
         raise InputError(calibration_file, "band_response", found, "a calibration that this version wrote")
     fitted.misfit = lobe_choice.misfit(fitted.lobes, fitted.coat)
+    # The chart and the white reference contradict each other by this much, and which of them errs is not told.
+    fitted.white_error = abs(calibration.level[_GREEN] - 1.0) if calibration.level else 0.0
     reflectance = _Reflectance(fitted, calibration, fitted.is_noise_known())
     observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
     compression, compared = compress_maps(reflectance, calibration.basis, observers, options)
@@ -266,7 +268,7 @@ def compress_reflectance(
             "negative_fraction": compression.negative,
             "compression": compared,
             **fitted.speed,
-            "common_error": None if math.isnan(fitted.common_error) else fitted.common_error,
+            "common_error": None if math.isnan(fitted.shared_error) else fitted.shared_error,
             "angle_errors": fitted.angle_errors or None,
             "lobe_choice": [asdict(one) for one in lobe_choice.candidates],
             "lobe_choice_painted": lobe_choice.painted,

@@ -28,7 +28,7 @@ from irodori.core.yaml_files import read_yaml
 from irodori.first_project import init_command
 from irodori.first_project.light_places import lamp_of_poses, read_lamps, read_light_places, write_lamps
 from irodori.first_project.questions import name_in_files, numbers, pose_of_references, positive, shape
-from irodori.first_project.raw_folder import Photograph, photographs
+from irodori.first_project.raw_folder import Photograph, photographs, raw_files
 from irodori.first_project.recognition import recognise
 from irodori.geometry.rig_frame import to_light
 from irodori.geometry.shapes.shape import Shape
@@ -274,13 +274,14 @@ def test_a_table_of_lamps_says_how_bright_the_lamp_of_each_pose_was(seen, taken,
 
 
 @pytest.mark.parametrize("answered", ["plate 90 60", "sphere 25", "mesh lid.obj", "mesh absent.obj"])
-def test_the_first_picture_is_filled_by_the_object_and_shows_a_table_under_it(answered, seen, tmp_path):
+def test_the_first_picture_is_filled_by_the_object_and_shows_a_table_under_it(answered, seen, tmp_path, capsys):
     Path("lid.obj").write_bytes((Path(__file__).parents[2] / "config/meshes/lid.obj").read_bytes())
     answers = ANSWERS | {"shape": answered}
     try:
         init(seen, "--answers", written(tmp_path / "answers.yaml", answers))
     except InputError as error:  # of the definitions, once all files are written
         assert "absent.obj" in str(error) and "absent" in answered
+    assert ("the file's coordinates are in mm, and z is up" in capsys.readouterr().out) == ("mesh" in answered)
     scene = yaml.safe_load(Path("config/scenes/my-plate-scene.yaml").read_text())
     view, (table,) = scene["views"]["front"], scene["bodies"]
     block = yaml.safe_load(Path("config/objects/my-plate.yaml").read_text())["shape"]
@@ -314,6 +315,15 @@ def test_a_table_of_lamps_with_a_fault_is_refused_by_its_line(body, found, tmp_p
     with pytest.raises(InputError, match=re.escape(found)) as caught:
         read_lamps(tmp_path / "lamps.csv")
     assert "lamps.csv" in str(caught.value)
+
+
+def test_what_other_programs_lay_beside_photographs_is_no_photograph(tmp_path):
+    for name in ("a.dng", "a.dng.dop", "a.on1", "clip.MOV", "notes.odt", "b.dng"):
+        (tmp_path / name).write_bytes(b"no RAW file")
+    assert [file.name for file in raw_files(tmp_path)] == ["a.dng", "b.dng"]
+    with pytest.raises(InputError, match=r"a\.dng: found a file LibRaw cannot decode \([^b'\"]") as caught:
+        photographs(tmp_path)
+    assert "b'" not in str(caught.value)
 
 
 def test_what_a_person_says_is_not_called_assumed(seen, taken, tmp_path, capsys):
@@ -443,7 +453,8 @@ def test_what_cannot_be_written_and_a_stop_are_one_sentence(seen, tmp_path, monk
         (shape, "plate 90", {"kind": "plate", "width_mm": 90.0, "height_mm": 90.0}),
         (shape, "sphere 30 30", None),
         (shape, "plate 90 -3", None),
-        (shape, "mesh a lid.obj", {"kind": "mesh", "file": "a lid.obj", "unit": "mm"}),
+        (shape, "mesh a lid.obj", {"kind": "mesh", "file": "a lid.obj", "unit": "mm", "up": "z"}),
+        (shape, "mesh lid.GLB", {"kind": "mesh", "file": "lid.GLB", "unit": "m", "up": "y"}),
         (shape, "mesh", None),
     ],
 )

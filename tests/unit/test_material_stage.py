@@ -2,7 +2,7 @@
 
 import math
 import tracemalloc
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import h5py
 import numpy as np
@@ -150,6 +150,32 @@ def test_where_no_model_predicts_the_photographs_all_errors_are_larger_and_nothi
                 assert np.allclose(file.read(name), times * tile[name], rtol=1e-5, equal_nan=True), name
             determined = np.isin(tile["status"], (Status.OK, Status.PAINT, Status.DIFFUSE_ONLY))
             assert determined.any() and (file.read("status")[determined] == Status.OK).any() == (times == 1.0)
+
+
+def test_a_white_reference_that_contradicts_the_chart_is_in_the_errors_of_alpha_and_beta(tmp_path, calibration):
+    """Which of the two errs is not told: gloss and diffuse weights may be wrong by the difference, and μ is not."""
+    tile, found = write_tile(tmp_path / "tile.h5", (0, 8), 30, 1, noise=1e-4, by_noise=True), {}
+    with h5py.File(tmp_path / "tile.h5", "r+") as file:
+        file.attrs["common_error"] = 0.01
+    accept(tmp_path / "tile.h5")
+    for level in (1.0, 1.08):
+        known = replace(Calibration.load(calibration), level=(level,) * 6)
+        with store.create(tmp_path / "levelled.h5", PROVENANCE) as out:
+            known.write(out)
+        compress([tmp_path / "tile.h5"], tmp_path / "levelled.h5", (8, 30), tmp_path / "m.h5")
+        with store.open_file(tmp_path / "m.h5") as file:
+            found[level] = {name: file.read(name) for name in ("alpha_error", "beta_error", "mu_error")}
+            common = file.attribute("errors")["common_error"]
+            colour = file.read("delta_e_error")
+        found[level] |= {"colour": colour, "common": common}
+    for name in ("alpha", "beta"):
+        expected = np.hypot(tile[f"{name}_error"], 0.08 * tile[name])
+        assert np.allclose(found[1.08][f"{name}_error"], expected, rtol=1e-4, equal_nan=True), name
+        assert np.array_equal(found[1.0][f"{name}_error"], tile[f"{name}_error"], equal_nan=True), name
+    assert found[1.0]["common"] == 0.01 and found[1.08]["common"] == pytest.approx(np.hypot(0.01, 0.08))
+    # Colours follow the chart, not the white reference.
+    for name in ("mu_error", "colour"):
+        assert np.allclose(found[1.08][name], found[1.0][name], rtol=1e-3, atol=1e-6, equal_nan=True), name
 
 
 @pytest.mark.parametrize("alpha_error", [0.003, 0.3])

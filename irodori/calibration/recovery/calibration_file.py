@@ -48,6 +48,9 @@ class Calibration:
         Posterior covariance of the band response.
     light_error : float
         Standard deviation of smooth relative differences of the real light from ``light``.
+    level : tuple of float
+        Response of a perfect diffuser in each band by the chart's spectra, where the white reference gives 1; empty
+        without a white reference. `irodori.calibration.stage` writes it.
     """
 
     basis: np.ndarray
@@ -59,6 +62,7 @@ class Calibration:
     band_response: np.ndarray | None = None
     band_response_covariance: np.ndarray | None = None
     light_error: float = NAMED_LAMP_ERROR
+    level: tuple[float, ...] = ()
 
     @property
     def weights_from_response(self) -> np.ndarray | None:
@@ -111,6 +115,7 @@ class Calibration:
                 known.get("band_response"),
                 known.get(_COVARIANCE),
                 light_error,
+                tuple(file.attribute("level", list)) if file.has_attribute("level") else (),
             )
 
     def write(self, out: store.Writer) -> None:
@@ -143,6 +148,7 @@ class Calibration:
             quantity, dims = "covariance of the response per unit reflectance", _OPTIONAL[_COVARIANCE]
             out.write(_COVARIANCE, self.band_response_covariance, units="1", dims=dims, quantity=quantity)
         out.attribute("light_error", self.light_error)
+        out.attribute("level", list(self.level))
         out.attribute("filters", list(self.filters))
         out.attribute("estimator", self.estimator)
         out.attribute("mapping", self.mapping.kind)
