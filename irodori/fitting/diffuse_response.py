@@ -15,6 +15,9 @@ from irodori.fitting.texel_rows import (
     ASSUMED,
     BEFORE,
     COSINE,
+    F0,
+    F1,
+    F2,
     LOBE,
     LOBE_SLOPE,
     RESPONSE,
@@ -23,6 +26,7 @@ from irodori.fitting.texel_rows import (
     VARIANCE,
     WEIGHT,
     WEIGHTED_COSINE,
+    WEIGHTED_RESPONSE,
     fill_lobe,
     folded,
     get,
@@ -44,11 +48,14 @@ GREEN = 1  # green without the filter, the band of equation (7)
 _RESPONSE_NOISE = 0.01  # standard deviation of a response if the camera's noise is unknown
 _LEAST_VARIANCE = 1e-12
 _GLOSS_MODEL_ERROR = 0.1
-_FAR, _AN_OUTLIER_IN = 6.0, 8  # distance of an outlier in standard deviations; at most one observation in 8 is one
+_FAR, _AN_OUTLIER_IN = 6.0, 8  # distance of an outlier in standard deviations; at most one in 8 is one in green
+_PLATEAU = 0.9  # share of the brightest response from which on others may clip too: levels of photographs differ
 _CHUNK = 2048  # texels that a thread takes at a time
-#: Rows with other contents here than in a fit: gloss in green, gloss in the present band, place in the table of ratios,
-#: weight of an observation for its outlier test, and its squared distance.
-_OF_GREEN, _OF_BAND, _PLACE, _PULL, _OFF = ASSUMED, LOBE_SLOPE, BEFORE, VARIANCE, WEIGHTED_COSINE
+#: Rows with other contents here than in a fit: gloss in green, gloss in the present band, place in the table of ratios;
+#: in the test for outliers, what diffuse light should explain, its variance, both in green, and the squared distance.
+_OF_GREEN, _OF_BAND, _PLACE = ASSUMED, LOBE_SLOPE, BEFORE
+_REST, _SQUARE, _GREEN_REST, _GREEN_SQUARE, _OFF = F0, VARIANCE, F1, F2, WEIGHTED_COSINE
+_MAY_BE_LOW, _MAY_BE_HIGH = WEIGHTED_RESPONSE, LOBE  # whether an observation may be left out as too dark or too bright
 
 
 @dataclass(frozen=True)
@@ -133,45 +140,17 @@ def _expected(given, b, j, gloss, fitted):
 
 
 @uncounted(error_model="numpy")
-def _leave_out(t, given, rows):
-    """Fill the weights of the valid observations of a texel; those of invalid ones and of outliers are 0.
-
-    An outlier is more than `_FAR` standard deviations away from the prediction by the other observations, in green. At
-    most one observation in eight is left out.
-    """
+def _screen(t, given, rows):
+    """Fill the weights of the valid observations of a texel, 0 for those that are not; return their number."""
     response, weight, used, b = given.response, given.weight, spread(0.0), min(GREEN, given.response.shape[2] - 1)
     for j in range(response.shape[1]):
         rows[RESPONSE, j], rows[TRUST, j] = response[t, j, b], weight[t, j]
     for j in range(vectors_of(rows)):
-        r, w = get(rows, RESPONSE, j), get(rows, TRUST, j)
-        fine = (magnitude(r + get(rows, SPOILED, j)) < np.inf) & (w > 0.0)
-        put(rows, RESPONSE, j, select(fine, r, 0.0))
+        w = get(rows, TRUST, j)
+        fine = (magnitude(get(rows, RESPONSE, j) + get(rows, SPOILED, j)) < np.inf) & (w > 0.0)
         put(rows, TRUST, j, select(fine, w, 0.0))
         used = used + select(fine, 1.0, 0.0)
-    for _ in range(int(folded(used, 0.0)) // _AN_OUTLIER_IN):
-        top, bottom = spread(0.0), spread(0.0)
-        for j in range(vectors_of(rows)):
-            r, c, gloss = get(rows, RESPONSE, j), get(rows, COSINE, j), get(rows, _OF_GREEN, j)
-            w = get(rows, TRUST, j) * c / _expected(given, b, j, gloss, upper_of(r, gloss))
-            put(rows, _PULL, j, w)
-            top, bottom = top + w * (r - gloss), bottom + w * c
-        pull, cosines, furthest = folded(top, 0.0), folded(bottom, 0.0), spread(_FAR * _FAR)
-        for j in range(vectors_of(rows)):
-            r, c, gloss, w = get(rows, RESPONSE, j), get(rows, COSINE, j), get(rows, _OF_GREEN, j), get(rows, _PULL, j)
-            rest = cosines - w * c
-            told = (w > 0.0) & (rest > 0.0)
-            by_others = (pull - w * (r - gloss)) / select(told, rest, 1.0) * c + gloss
-            apart = r - by_others
-            off = select(told, apart * apart / _expected(given, b, j, gloss, by_others), 0.0)
-            put(rows, _OFF, j, off)
-            furthest = upper_of(furthest, off)
-        most = highest(furthest, 0.0)
-        if not most > _FAR * _FAR:
-            return
-        for j in range(response.shape[1]):
-            if rows[_OFF, j] == most:
-                rows[TRUST, j] = 0.0
-                break
+    return int(folded(used, 0.0))
 
 
 @uncounted(error_model="numpy")
@@ -189,32 +168,120 @@ def _gloss_of_band(given, b, rows):
 
 
 @uncounted(error_model="numpy")
-def _combine_texel(t, given, rows, out, variance):
-    """Fill diffuse responses and variances of a texel, (bands,) each."""
-    response, noise, last = given.response, given.noise, given.ratio.shape[1] - 1.0
-    _leave_out(t, given, rows)
-    for j in range(response.shape[1] if given.coloured else 0):
-        rows[_PLACE, j] = min(max(given.geometry[t, j, 2] / (0.5 * math.pi) * last, 0.0), last)
-    for b in range(response.shape[2]):
-        for j in range(response.shape[1]):
-            rows[RESPONSE, j] = response[t, j, b]
-        _gloss_of_band(given, b, rows)
-        # First with the variance that unknown noise counts as, because the response is not known.
-        top, bottom = spread(0.0), spread(0.0)
+def _load_band(t, given, b, rows):
+    """Fill responses, gloss, and weights times cosθ_i of a texel in a band; return a rough diffuse response.
+
+    It takes noise as unknown, because the response is not known; NaN without observations.
+    """
+    for j in range(given.response.shape[1]):
+        rows[RESPONSE, j] = given.response[t, j, b]
+    _gloss_of_band(given, b, rows)
+    top, bottom = spread(0.0), spread(0.0)
+    for j in range(vectors_of(rows)):
+        r, c, gloss = get(rows, RESPONSE, j), get(rows, COSINE, j), get(rows, _OF_BAND, j)
+        w = select(magnitude(r) < np.inf, get(rows, TRUST, j) * c, 0.0)
+        r = select(w > 0.0, r, 0.0)
+        put(rows, RESPONSE, j, r)
+        put(rows, WEIGHT, j, w)
+        uncertain = _GLOSS_MODEL_ERROR * gloss
+        w = w / (_RESPONSE_NOISE * _RESPONSE_NOISE + uncertain * uncertain)
+        top, bottom = top + w * (r - gloss), bottom + w * c
+    total = folded(bottom, 0.0)
+    return folded(top, 0.0) / total if total > 0.0 else np.nan
+
+
+@uncounted(error_model="numpy")
+def _leave_out_furthest(rows, observations):
+    """Set the weight of the worst outlier that may be left out to 0, and return whether there is one.
+
+    An outlier is more than `_FAR` standard deviations away from the prediction by the other observations.
+    """
+    top, bottom = spread(0.0), spread(0.0)
+    for j in range(vectors_of(rows)):
+        w = get(rows, WEIGHT, j) / get(rows, _SQUARE, j)
+        top, bottom = top + w * get(rows, _REST, j), bottom + w * get(rows, COSINE, j)
+    pull, cosines, furthest = folded(top, 0.0), folded(bottom, 0.0), spread(_FAR * _FAR)
+    for j in range(vectors_of(rows)):
+        c, rest, square = get(rows, COSINE, j), get(rows, _REST, j), get(rows, _SQUARE, j)
+        w = get(rows, WEIGHT, j) / square
+        others = cosines - w * c
+        apart = rest - (pull - w * rest) / select(others > 0.0, others, 1.0) * c
+        may_be = select(apart < 0.0, get(rows, _MAY_BE_LOW, j), get(rows, _MAY_BE_HIGH, j)) > 0.0
+        off = select((w > 0.0) & (others > 0.0) & may_be, apart * apart / square, 0.0)
+        put(rows, _OFF, j, off)
+        furthest = upper_of(furthest, off)
+    most = highest(furthest, 0.0)
+    for j in range(observations):
+        if rows[_OFF, j] == most and most > _FAR * _FAR:
+            rows[TRUST, j], rows[WEIGHT, j] = 0.0, 0.0
+            return True
+    return False
+
+
+@uncounted(error_model="numpy")
+def _mark_brightest(rows, row):
+    """Fill a row with 1 for observations whose response is at least `_PLATEAU` of the largest, 0 for others."""
+    most = spread(0.0)
+    for j in range(vectors_of(rows)):
+        most = upper_of(most, select(get(rows, WEIGHT, j) > 0.0, get(rows, RESPONSE, j), 0.0))
+    least = _PLATEAU * highest(most, 0.0)
+    for j in range(vectors_of(rows)):
+        put(rows, row, j, select(get(rows, RESPONSE, j) >= least, 1.0, 0.0))
+
+
+@uncounted(error_model="numpy")
+def _leave_out(t, given, rows, used):
+    """Set the weights of outliers among the ``used`` observations of a texel to 0, for all bands.
+
+    In green, at most one observation in eight is left out, because the gloss may be wrong. Then each other band is
+    compared with green. The two differ by diffuse light alone, however wrong the gloss is, and by what little the
+    colour of gloss adds. So clipped readings are told, as long as they are a minority: they are the brightest of a
+    band, and too dark. Other differences are no reason: at a seam, what a texel shows differs between photographs.
+    """
+    observations, bands = given.response.shape[1], given.response.shape[2]
+    green, left = min(GREEN, bands - 1), (used - 1) // 2
+    level = _load_band(t, given, green, rows)
+    for j in range(vectors_of(rows)):
+        r, c, gloss = get(rows, RESPONSE, j), get(rows, COSINE, j), get(rows, _OF_BAND, j)
+        # A response that lost its light would get too small a variance, and decide what the others contradict.
+        bright = upper_of(r, level * c + gloss)
+        put(rows, _REST, j, r - gloss)
+        put(rows, _SQUARE, j, _expected(given, green, j, gloss, bright))
+        put(rows, _GREEN_REST, j, r - gloss)
+        put(rows, _GREEN_SQUARE, j, _expected(given, green, j, 0.0, bright))
+        put(rows, _MAY_BE_LOW, j, spread(1.0))
+        put(rows, _MAY_BE_HIGH, j, spread(1.0))
+    for _ in range(used // _AN_OUTLIER_IN):
+        if not _leave_out_furthest(rows, observations):
+            break
+        left -= 1
+    _mark_brightest(rows, _MAY_BE_HIGH)  # too dark in green
+    for b in range(bands):
+        if b == green:
+            continue
+        level = _load_band(t, given, b, rows)
+        _mark_brightest(rows, _MAY_BE_LOW)
         for j in range(vectors_of(rows)):
             r, c, gloss = get(rows, RESPONSE, j), get(rows, COSINE, j), get(rows, _OF_BAND, j)
-            w = select(magnitude(r) < np.inf, get(rows, TRUST, j) * c, 0.0)
-            r = select(w > 0.0, r, 0.0)
-            put(rows, RESPONSE, j, r)
-            put(rows, WEIGHT, j, w)
-            uncertain = _GLOSS_MODEL_ERROR * gloss
-            w = w / (_RESPONSE_NOISE * _RESPONSE_NOISE + uncertain * uncertain)
-            top, bottom = top + w * (r - gloss), bottom + w * c
-        total = folded(bottom, 0.0)
-        if not total > 0.0:
+            bright, coloured = upper_of(r, level * c + gloss), gloss - get(rows, _OF_GREEN, j)
+            put(rows, _REST, j, r - gloss - get(rows, _GREEN_REST, j))
+            put(rows, _SQUARE, j, _expected(given, b, j, coloured, bright) + get(rows, _GREEN_SQUARE, j))
+        while left > 0 and _leave_out_furthest(rows, observations):
+            left -= 1
+
+
+@uncounted(error_model="numpy")
+def _combine_texel(t, given, rows, out, variance):
+    """Fill diffuse responses and variances of a texel, (bands,) each."""
+    noise, last = given.noise, given.ratio.shape[1] - 1.0
+    for j in range(given.response.shape[1] if given.coloured else 0):
+        rows[_PLACE, j] = min(max(given.geometry[t, j, 2] / (0.5 * math.pi) * last, 0.0), last)
+    _leave_out(t, given, rows, _screen(t, given, rows))
+    for b in range(given.response.shape[2]):
+        diffuse, scatter = _load_band(t, given, b, rows), spread(0.0)
+        if math.isnan(diffuse):
             out[b], variance[b] = np.nan, np.nan
             continue
-        diffuse, scatter = folded(top, 0.0) / total, spread(0.0)
         top, bottom = spread(0.0), spread(0.0)
         for j in range(vectors_of(rows)):
             r, c, gloss, w = get(rows, RESPONSE, j), get(rows, COSINE, j), get(rows, _OF_BAND, j), get(rows, WEIGHT, j)

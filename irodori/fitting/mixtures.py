@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from irodori.fitting.diffuse_response import GREEN
 from irodori.fitting.gloss_search import PairGloss
 from irodori.fitting.paint_colours import NEAR, Colours
 from irodori.fitting.paint_gloss import LEAST_VARYING, PaintGloss
@@ -19,7 +20,7 @@ SEAM = 5  # width of a seam in texels, within which a picture shows a mixture
 #: Smallest share of a paint for which one taken at random in the mixture lies within two standard deviations of the
 #: mean, √((1 - s) / s) = 2. A texel with surely less of a second paint shows the first one.
 LEAST_SHARE = 0.2
-_SURE = 2.0  # standard errors
+_SURE = 2.0  # standard deviations
 
 
 class Mixtures(NamedTuple):
@@ -33,12 +34,29 @@ class Mixtures(NamedTuple):
         Numbers of the paints.
     share : (n,) float64
         Share of the ``other`` paint, 0 to 1.
+    apart : (n,) float64
+        Diffuse response in green of the ``other`` paint less that of the first.
     """
 
     texel: np.ndarray
     one: np.ndarray
     other: np.ndarray
     share: np.ndarray
+    apart: np.ndarray
+
+    @property
+    def variance(self) -> np.ndarray:
+        """Variance of what a point in the texel has of the ``other`` paint, 0 or 1, (n,).
+
+        It is so large that two standard deviations from the mean contain either paint.
+        """
+        least = (np.maximum(self.share, 1.0 - self.share) / _SURE) ** 2
+        return np.maximum(self.share * (1.0 - self.share), least)
+
+    @property
+    def alpha_error(self) -> np.ndarray:
+        """Standard error of α as that of a point in the texel, which has the α of either paint, (n,)."""
+        return np.sqrt(self.variance) * np.abs(self.apart)
 
 
 def seams(paint: np.ndarray) -> np.ndarray:
@@ -123,15 +141,16 @@ def find_mixtures(
     paint.flat[texel[mixed]] = -1
     sure = loose & ~mixed & (share > 0.5)
     paint.flat[texel[sure]] = second[sure]
-    return paint, Mixtures(texel[mixed], first[mixed], second[mixed], share[mixed])
+    one, other = (colours.nearest_of(response[mixed], number[mixed])[:, GREEN] for number in (first, second))
+    return paint, Mixtures(texel[mixed], first[mixed], second[mixed], share[mixed], other - one)
 
 
 def gloss_between(gloss: Sequence[PaintGloss | PairGloss | None], mixtures: Mixtures) -> PaintGloss | PairGloss:
     """Return the gloss of mixtures, with a first axis of texels in every field.
 
-    It is the mean of both paints'. Its variance is that of the gloss of a point in the texel, but so large that two
-    standard errors contain the gloss of either paint. A mixture shows two lobes, with shares that differ between
-    photographs. One lobe fitted to its own observations is therefore worse than the mean, which they do not change.
+    It is the mean of both paints'. Its variance is that of the gloss of a point in the texel, see `Mixtures`. A mixture
+    shows two lobes, with shares that differ between photographs. One lobe fitted to its own observations is therefore
+    worse than the mean, which they do not change.
 
     Parameters
     ----------
@@ -150,8 +169,7 @@ def gloss_between(gloss: Sequence[PaintGloss | PairGloss | None], mixtures: Mixt
     values: dict = {field.name: mean(field.name) for field in fields(known[0])}
     log_gloss = np.stack([paint.log_gloss for paint in known])
     apart = log_gloss[other] - log_gloss[one]
-    least = (np.maximum(share, 1.0 - share) / _SURE) ** 2
-    spread = np.einsum("t,ti,tj->tij", np.maximum(share * (1.0 - share), least), apart, apart)
+    spread = np.einsum("t,ti,tj->tij", mixtures.variance, apart, apart)
     values["error"] = values["error"] + values["varying"] + spread
     values["varying"] = np.broadcast_to(LEAST_VARYING * np.eye(apart.shape[1]), spread.shape)
     return type(known[0])(**values)

@@ -108,14 +108,14 @@ class Colours:
         distance : (texels,) float64
             RMS distance over the bands to the mixture, in units of the scatter of the texel's colour.
         """
-        first, second = self._nearest_of(response, one), self._nearest_of(response, other)
+        first, second = self.nearest_of(response, one), self.nearest_of(response, other)
         scatter = (STEP * (np.maximum(response, 0.0) + self.floor)) ** 2 + np.nan_to_num(variance)
         apart = ((second - first) ** 2 / scatter).mean(axis=1)
         share = np.clip(((response - first) * (second - first) / scatter).mean(axis=1) / apart, 0.0, 1.0)
         mixture = first + share[:, None] * (second - first)
         return share, 1.0 / np.sqrt(apart), np.sqrt(((response - mixture) ** 2 / scatter).mean(axis=1))
 
-    def _nearest_of(self, response: np.ndarray, paint: np.ndarray) -> np.ndarray:
+    def nearest_of(self, response: np.ndarray, paint: np.ndarray) -> np.ndarray:
         """Return the response nearest to each texel's, (texels, bands), among those of a given paint."""
         colour, out = self.scaled(response), np.empty(response.shape)
         for number in np.unique(paint):

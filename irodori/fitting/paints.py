@@ -9,7 +9,7 @@ colour of a texel.
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -327,11 +327,11 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -
         filled = np.where((found < 0) & unknown, -1, filled)
     paint, columns, texels = np.full(found.size, -1), [], []
 
-    def keep(here: np.ndarray, pieces: list[TexelGloss], *, contradicted: np.ndarray | bool) -> np.ndarray:
+    def keep(here: np.ndarray, pieces: list[TexelGloss], *, contradicted: np.ndarray | bool, mixed=0.0) -> np.ndarray:
         one = TexelGloss.joined(pieces, len(optics.options.lobes))
         good = (one.agrees | contradicted) & (one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK))
         texels.append(here[good])
-        columns.append(one[good])
+        columns.append(replace(one, alpha_error=np.hypot(one.alpha_error, mixed))[good])
         return here[good]
 
     for number in paints.known:
@@ -345,6 +345,6 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -
         both = np.flatnonzero(known)
         if len(both):
             pieces = in_pieces(functools.partial(_share_mixtures, tile, paints, optics, mixtures), both)
-            keep(mixtures.texel[both], pieces, contradicted=True)
+            keep(mixtures.texel[both], pieces, contradicted=True, mixed=mixtures.alpha_error[both])
     shared = TexelGloss.joined(columns, len(optics.options.lobes))
     return Painted(paint, np.concatenate([*texels, np.empty(0, dtype=int)]), shared)

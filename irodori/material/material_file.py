@@ -53,7 +53,7 @@ class Status(IntEnum):
     DARK = 7  # no light beyond the noise
     PAINT = 8  # β and μ are mostly those of all texels of its paint, and agree with its own observations
     CONTRADICTED = 9  # even the best fit of the model misses the observations by more than their errors
-    MIXTURE = 10  # perhaps of two paints: β and μ are between theirs, with errors that contain both
+    MIXTURE = 10  # perhaps of two paints: β and μ are between theirs, and errors contain both
 
 
 class NloptResult(IntEnum):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from made import made
 from test_fitting import GEOMETRY, K, N, gloss_over_beta, materials, run
+from test_paints import CREAM, DEFAULT, TWO_MU, VERMILION, fitted, halves, photographed, sphere
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import solve
@@ -101,6 +102,40 @@ def test_diffuse_response_leaves_out_what_the_fit_leaves_out(value):
     assert (
         np.abs(diffuse_response(response, geometry, weight, fitted, FRESNEL, NOISE)[0] - alpha[:, None]).max() <= 1e-4
     )
+
+
+@pytest.mark.parametrize(("clipped", "worse"), [(2, 1.8), (1, 5.0)])
+def test_a_few_readings_that_clip_in_one_band_unflagged_hardly_change_a_colour(clipped, worse):
+    """Highlights clip at 60 % of a texel's peak, diffuse light does not; if green clips, the fitted gloss is wrong."""
+    paint = np.random.default_rng(2101).permutation(halves())
+    colour, geometry = np.array([VERMILION, CREAM])[paint], sphere()
+    seen = photographed(colour, np.array([5.0, 2.0])[paint], TWO_MU[paint], geometry, seed=2102)
+    plain = fitted(seen, DEFAULT)[0].response / colour - 1.0
+    band, lit = seen.response[..., clipped], np.cos(geometry[..., 0]).max(axis=1)
+    limit = np.maximum(0.6 * band.max(axis=1), 1.03 * lit * colour[:, clipped])[:, None]
+    cut = (band > limit).sum(axis=1)
+    seen.response[..., clipped] = np.minimum(band, limit)
+    tile, own = fitted(seen, DEFAULT)
+    off, error = tile.response / colour - 1.0, own.alpha_error / own.alpha
+    told = (cut > 0) & (cut <= 5) & np.isfinite(error)
+    assert told.sum() > 500
+    assert (np.abs(off) < 2.0 * error[:, None])[told].mean(axis=0).min() > 0.9
+    assert np.sqrt((off[told] ** 2).mean(axis=0))[2] < worse * np.sqrt((plain[told] ** 2).mean(axis=0))[2]
+
+
+def test_one_reading_without_light_does_not_change_a_colour():
+    rng, texels, geometry = np.random.default_rng(2103), 400, GEOMETRY[:16]
+    bands, beta, mu = rng.uniform(0.05, 0.8, (texels, 6)), rng.uniform(0.5, 8.0, texels), rng.uniform(0.08, 0.3, texels)
+    gloss = beta[:, None] * gloss_over_beta(geometry, mu[:, None])
+    response = bands[:, None, :] * np.cos(geometry[:, 0])[:, None] + gloss[..., None]
+    response *= 1.0 + 0.01 * rng.normal(size=(texels, 16, 1))
+    geometry, weight, noise = np.tile(geometry, (texels, 1, 1)), np.ones(response.shape[:2]), NOISE[:16]
+    off = []
+    for level in (1.0, 0.0):
+        response[np.arange(texels), rng.integers(0, 16, texels)] *= level
+        own = fit(response[..., 1], geometry, weight, N, K, noise=noise[:, 1])
+        off.append(np.abs(diffuse_response(response, geometry, weight, own, FRESNEL, noise)[0] / bands - 1.0))
+    assert np.quantile(off[1], 0.95) < 1.2 * np.quantile(off[0], 0.95)
 
 
 def test_noise_under_a_near_light_is_that_of_the_response_that_its_gain_scaled():

@@ -79,6 +79,21 @@ def test_a_texel_at_a_seam_has_an_error_that_contains_the_gloss_of_both_paints(a
     assert apart < 10 or np.sqrt((np.concatenate(rendered) ** 2).mean()) < 0.2
 
 
+@pytest.mark.parametrize("apart", [30, 120])
+def test_the_error_of_alpha_of_a_mixture_contains_both_paints(apart):
+    """Also if it is far larger than a texel of one paint may state without losing its gloss."""
+    _, seen = seam(27, apart)
+    _, _, found = painted(seen, WIDTH)
+    alpha, error = (getattr(found.shared, name)[found.is_mixture] for name in ("alpha", "alpha_error"))
+    # The α of a mixture is known to some percent.
+    for one in BASE[GREEN] * np.exp(0.01 * apart * np.array([0.0, -1.0])):
+        assert (np.abs(alpha - one) <= 2.0 * error + 0.04 * one).all()
+    mixed = found.texel[found.is_mixture]
+    assert np.isin(mixed, np.flatnonzero(DISTANCE == 1)).sum() > 0.45 * (DISTANCE == 1).sum()
+    # And no further than to the further of the two.
+    assert (error <= 0.5 * BASE[GREEN] * -np.expm1(-0.01 * apart) + 0.03 * BASE[GREEN]).all()
+
+
 def painted_tile(seen):
     """A tile, and its paints."""
     tile, own = fitted(seen)
@@ -152,7 +167,7 @@ def test_gloss_between_two_paints_is_their_mean_and_contains_both(parameters):
     kind, further = (PaintGloss, (variance,)) if parameters == 2 else (PairGloss, ())
     one, other = (kind(rng.normal(size=parameters), variance, variance, 1.0, 50, *further) for _ in range(2))
     part = np.array([0.0, 0.05, LEAST_SHARE, 0.5, 0.9, 1.0])
-    mixtures = Mixtures(np.arange(6), np.zeros(6, dtype=int), np.full(6, 2), part)
+    mixtures = Mixtures(np.arange(6), np.zeros(6, dtype=int), np.full(6, 2), part, np.zeros(6))
     found = gloss_between([one, None, other], mixtures)
     np.testing.assert_allclose(found.log_gloss, one.log_gloss + part[:, None] * (other.log_gloss - one.log_gloss))
     sigma = np.sqrt(np.einsum("tii->ti", found.error))
