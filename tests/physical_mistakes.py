@@ -264,6 +264,13 @@ MISTAKES = (
          "tests/unit/test_whole_sphere.py::test_both_kinds_of_picture_files_are_judged"),
     ),
     Mistake(
+        "radius or place of a mirror ball off by a fifth of its radius", LIGHT, REFUSED,
+        "edges like those of a ball", "irodori/light/mirror_ball.py",
+        ("tests/unit/test_mirror_ball.py::"
+         "test_a_run_refuses_a_ball_that_is_elsewhere_and_warns_of_one_without_outline",
+         f"{_CHECK}::test_a_mirror_ball_that_is_not_where_it_was_typed_is_said_before_any_job"),
+    ),
+    Mistake(
         "lamps clipped in a panorama of another program", LIGHT, WARNED, "if lamps were clipped there",
         "irodori/light/clipped_lamps.py",
         ("tests/unit/test_clipped_lamps.py::test_a_lamp_that_is_cut_off_is_warned_of_and_a_whole_one_is_not",),

@@ -29,7 +29,7 @@ from irodori.light.known_lamps import known_prior, require_lamps_seen, told_by
 from irodori.light.light_files import rgb_picture, spectral_picture
 from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
-from irodori.light.mirror_ball import mean_reflectance, unwrapped, used_part
+from irodori.light.mirror_ball import mean_reflectance, outline_doubt, unwrapped, used_part
 from irodori.light.omnidirectional import (
     KeptPicture,
     MeanLight,
@@ -148,6 +148,8 @@ def _mirror_ball(
     with store.open_file(linear) as file:
         response = file.read("response")
     response = np.where(valid[..., None], response, 0.0)
+    if doubt := outline_doubt(source, response, linear):
+        LOGGER.warning("%s: %s", linear, doubt)
     # For a distant camera, equal areas of the image of the ball show equal solid angles. Of each strip as many
     # directions are drawn as of each part of a panorama, so that small lamps are among them.
     drawn = draw_directions((strip, 1.0) for strip in np.array_split(response[ball(*valid.shape)], _STRIPS))
@@ -198,8 +200,8 @@ def prepare_environment(
     ------
     InputError
         If a pixel is saturated in every bracket, or masked pixels are adjacent; if a panorama does not show all
-        directions, see `irodori.light.whole_sphere`; if a chart in the place cannot be read,
-        or a chart or the lamps are inconsistent with the panorama.
+        directions, see `irodori.light.whole_sphere`; if a mirror ball's outline is not where it was typed; if a chart
+        in the place cannot be read, or a chart or the lamps are inconsistent with the panorama.
 
     Notes
     -----
