@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from irodori.config.models import MirrorBallSource, Size
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.progress import LOGGER
 from irodori.light.environment_file import directions
 from irodori.light.light_recovery import LightRecovery
@@ -181,7 +181,7 @@ def _bilinear(values: np.ndarray, valid: np.ndarray, x: np.ndarray, y: np.ndarra
     lost = int((weight == 0.0).sum())
     if lost:
         raise InputError(
-            path, "valid", f"{lost} directions whose pixels are all masked", "single masked pixels at most"
+            path, "valid", f"{counted(lost, 'direction')} whose pixels are all masked", "single masked pixels at most"
         )
     return total / weight[..., None]
 

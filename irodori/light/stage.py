@@ -20,7 +20,7 @@ from irodori.config.models import (
     SpectralSource,
 )
 from irodori.core import store
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.progress import LOGGER
 from irodori.light.environment_file import QUANTITY, Environment, PixelNoise, directions
 from irodori.light.gloss_maps import GlossMaps
@@ -104,7 +104,10 @@ def _photographed(
     calibration.require_filters(filters, linear)
     beside = lost_neighbours(~valid)
     if beside:
-        found, accepted = f"{beside} masked pixels beside each other in a row", "masked pixels that stand alone"
+        found, accepted = (
+            f"{counted(beside, 'masked pixel')} beside each other in a row",
+            "masked pixels that stand alone",
+        )
         raise InputError(linear, "valid", found, f"{accepted}, or a stitched panorama")
     if not valid.all():
         LOGGER.info("%d masked pixels filled from their neighbours along the row", int((~valid).sum()))
@@ -324,7 +327,8 @@ def write_environment(
     first = Tiles(picture if kept is None else KeptPicture(picture, kept))
     moments = second_moments(first, also=mean.add if white is None else None)
     if moments.masked:
-        raise InputError(picture.file, "", f"{moments.masked} pixels that are not finite", "finite radiance everywhere")
+        found = f"{counted(moments.masked, 'pixel')} without a finite value"
+        raise InputError(picture.file, "", found, "finite radiance everywhere")
     white = mean.light(picture.basis) if white is None else white
     compression = choose(moments, picture.basis, observers(white), options)
     if kept is None:

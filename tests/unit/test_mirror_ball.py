@@ -258,14 +258,14 @@ def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
     for column, is_used in ((100 + 84, True), (100 + 86, False)):
         valid[90, column] = 0
         write_inputs(tmp_path, response, valid, calibration)
-        with pytest.raises(InputError, match="1 pixels saturated") if is_used else nullcontext():
+        with pytest.raises(InputError, match="1 pixel saturated") if is_used else nullcontext():
             prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
                                 source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
                                 prior=prior_of(calibration))  # fmt: skip
         valid[90, column] = 1
     valid[90, 100] = 0
     write_inputs(tmp_path, response, valid, calibration)
-    with pytest.raises(InputError, match="1 pixels saturated in every bracket"):
+    with pytest.raises(InputError, match="1 pixel saturated in every bracket"):
         prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
                             source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
                             prior=prior_of(calibration))  # fmt: skip
