@@ -44,11 +44,11 @@ _TOLD = "irodori/rectification/placement_correction.py"
 MISTAKES = (
     # What the definitions say.
     Mistake(
-        "sizes or distances in metres", DEFINITIONS, REFUSED, "pixels in the picture", _UNITS,
+        "sizes or distances in metres", DEFINITIONS, REFUSED, "in the picture", _UNITS,
         (f"{_ON_RIG}::test_lengths_in_another_unit_are_refused",),
     ),
     Mistake(
-        "mesh in another unit", DEFINITIONS, REFUSED, "pixels in the picture", _UNITS,
+        "mesh in another unit", DEFINITIONS, REFUSED, "in the picture", _UNITS,
         (f"{_CHECK}::test_a_mesh_in_another_unit_is_a_speck",),
     ),
     Mistake(
@@ -177,6 +177,11 @@ MISTAKES = (
         "irodori/ingest/shot_alignment.py",
         ("tests/unit/test_shot_alignment.py::test_a_residual_above_the_limit_names_the_capture",),
     ),
+    Mistake(
+        "small stain of 15 % on the white reference", INGEST, WARNED,
+        "as by dust or a stain", "irodori/ingest/camera_reference.py",
+        ("tests/unit/test_ingest.py::test_a_spot_on_the_white_reference_is_said",),
+    ),
     # What all photographs of an object show together.
     Mistake(
         "plate laid 2 mm beside its place", REGISTRATION, CORRECTED, "object along the table's x", _TOLD,
@@ -262,6 +267,13 @@ MISTAKES = (
         "an equirectangular panorama of all directions", "irodori/light/whole_sphere.py",
         ("tests/unit/test_whole_sphere.py::test_a_photographed_part_of_a_room_is_refused",
          "tests/unit/test_whole_sphere.py::test_both_kinds_of_picture_files_are_judged"),
+    ),
+    Mistake(
+        "radius or place of a mirror ball off by a fifth of its radius", LIGHT, REFUSED,
+        "edges like those of a ball", "irodori/light/mirror_ball.py",
+        ("tests/unit/test_mirror_ball.py::"
+         "test_a_run_refuses_a_ball_that_is_elsewhere_and_warns_of_one_without_outline",
+         f"{_CHECK}::test_a_mirror_ball_that_is_not_where_it_was_typed_is_said_before_any_job"),
     ),
     Mistake(
         "lamps clipped in a panorama of another program", LIGHT, WARNED, "if lamps were clipped there",

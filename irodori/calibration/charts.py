@@ -16,7 +16,7 @@ from irodori.calibration.training import ResponseNoise
 from irodori.config.capture_table import chart_capture
 from irodori.config.models import Camera, Chart
 from irodori.config.parts import CalibratedCamera
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.progress import LOGGER
 from irodori.spectra.published import chart_spectra
 
@@ -73,7 +73,8 @@ class Charts:
         files = [linear] if isinstance(linear, str | Path) else list(linear)
         definitions = {"": camera.chart, **camera.further_charts}
         if len(files) != len(definitions):
-            raise ValueError(f"{len(files)} files of charts; accepted: {len(definitions)}, one for each chart")
+            found = f"{counted(len(files), 'file')} of charts"
+            raise ValueError(f"{found}; accepted: {len(definitions)}, one for each chart")
         photographs: list[ChartPhotograph] = []
         readings: list[ChartReading] = []
         patches, spectra = [], []

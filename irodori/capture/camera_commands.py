@@ -114,11 +114,11 @@ def plan(options) -> None:
         return
     target, definition = _target(options, loaded)
     if options.best is not None and definition is not None:
-        fitted = as_fitted(loaded.config, target.rig, definition, target.camera)
+        fitted = as_fitted(loaded.config, target.rig, definition, camera)
         print("\n".join(_best(definition, target.rig, options.best, fitted).lines()))
         return
     if definition is None:
-        shots = camera_shots(target.camera, target.suffix)
+        shots = camera_shots(loaded.cameras[options.name], target.suffix)
     else:
         shots = object_shots(definition, target.camera, target.suffix)
     planned = target.ordered(shots)

@@ -8,6 +8,7 @@ import numpy as np
 from irodori.capture.shot_planner.planner import Plan
 from irodori.config.capture_table import Pose
 from irodori.config.models import Rig
+from irodori.core.errors import counted
 from irodori.geometry.rig_frame import to_camera, to_light
 
 #: Largest angle of lamp and camera from the vertical in such a plan, degrees: beyond it the table is in the way.
@@ -60,7 +61,7 @@ def followed(plan: Plan, rig: Rig, states: Collection[str] = ()) -> list[str]:
     sideways = any(pose.light_azimuth_deg for pose in plan.poses)
     lamp = "where the list says" if sideways else "to your right"
     lines = [
-        f"{len(plan.poses)} poses: lamp and object are set {settings} times, the camera for every pose.",
+        f"{counted(len(plan.poses), 'pose')}: lamp and object are set {settings} times, the camera for every pose.",
         f"Photograph each {how}.",
         f"The lamp stands {lamp} and the camera to your left, both turned to the object's middle. Places are",
         "measured from there, angles from straight above it. Leave focus, aperture and zoom alone, and note the angles",

@@ -10,7 +10,7 @@ from dataclasses import replace
 from irodori.capture.setup_steps import hand_settings
 from irodori.config.capture_table import DRIFT, Pose, Shot, expand_poses
 from irodori.config.models import Camera, EnvironmentDefinition, Exposures, Object, ScenePhotograph
-from irodori.config.parts import PhotographedObject
+from irodori.config.parts import AnyCamera, PhotographedObject
 
 #: Pose of photographs that have none: the lens cap is on, or the camera is not on the rig.
 _NOWHERE = Pose(0.0, 0.0)
@@ -18,7 +18,7 @@ _NOWHERE = Pose(0.0, 0.0)
 _WHITE_FRAMES = 2
 
 
-def _settings(camera: Camera) -> tuple[float, float]:
+def _settings(camera: AnyCamera) -> tuple[float, float]:
     """Return the camera's ISO sensitivity and f-number; 0 if unknown."""
     block = camera.driver or camera.virtual
     known = (getattr(block, key, None) for key in ("iso", "f_number"))
@@ -59,13 +59,13 @@ def _bracket(
             yield replace(shot, file=_file(shot.capture, state, exposure, suffix))
 
 
-def object_shots(definition: Object | PhotographedObject, camera: Camera, suffix: str) -> list[Shot]:
+def object_shots(definition: Object | PhotographedObject, camera: AnyCamera, suffix: str) -> list[Shot]:
     """Return the photographs of an object: every pose, filter state and exposure time.
 
     Parameters
     ----------
     definition : Object or PhotographedObject
-    camera : Camera
+    camera : Camera or PhotographingCamera
     suffix : str
         Suffix of the files' names, with the dot.
     """
@@ -77,7 +77,9 @@ def object_shots(definition: Object | PhotographedObject, camera: Camera, suffix
     ]
 
 
-def shots_without_rig(definition: EnvironmentDefinition | ScenePhotograph, camera: Camera, suffix: str) -> list[Shot]:
+def shots_without_rig(
+    definition: EnvironmentDefinition | ScenePhotograph, camera: AnyCamera, suffix: str
+) -> list[Shot]:
     """Return the photographs of an environment and of the charts in it, or of a scene from one position.
 
     Parameters as in `object_shots`.

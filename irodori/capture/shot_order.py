@@ -18,6 +18,7 @@ from irodori.capture.rig.devices import Axis
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.capture.short_paths import shortest_blocks
 from irodori.config.capture_table import Shot
+from irodori.core.errors import counted
 
 #: Order of the roles: photographs for the calibration come before those of the object.
 PHASES = ("dark", "white", "chart", "object", "environment", "room-chart", "scene")
@@ -52,13 +53,13 @@ class Estimate:
 
     def __str__(self) -> str:
         parts = (
-            f"{_count(self.steps, 'hand step')} {_duration(self.hand_s)}",
+            f"{counted(self.steps, 'hand step')} {_duration(self.hand_s)}",
             f"travel {_duration(self.travel_s)}",
             f"settling {_duration(self.settle_s)}",
             f"exposure {_duration(self.exposure_s)}",
             f"overhead {_duration(self.overhead_s)}",
         )
-        return f"{_count(self.shots, 'shot')}, about {_duration(self.total_s)}: {', '.join(parts)}"
+        return f"{counted(self.shots, 'shot')}, about {_duration(self.total_s)}: {', '.join(parts)}"
 
 
 def order_shots(
@@ -194,10 +195,6 @@ def _splits(shots: list[Shot]) -> int:
     """Return the number of changes from one capture to another, a measure of how well captures stay together."""
     captures = [(shot.subject, shot.pose) for shot in shots]
     return sum(a != b for a, b in itertools.pairwise(captures))
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}" + ("" if number == 1 else "s")
 
 
 def _duration(seconds: float) -> str:

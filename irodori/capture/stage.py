@@ -18,7 +18,7 @@ from irodori.capture.shot_list import camera_shots, object_shots, shots_without_
 from irodori.capture.shot_order import Estimate, estimate_s, order_shots
 from irodori.config.capture_table import Shot
 from irodori.config.models import Camera, EnvironmentDefinition, Object, Rig, ScenePhotograph
-from irodori.config.parts import PhotographedObject, SceneRadiance
+from irodori.config.parts import AnyCamera, PhotographedObject, SceneRadiance
 from irodori.core.atomic_files import file_sha256, written_whole
 from irodori.core.confined_paths import confined
 from irodori.core.errors import InputError
@@ -45,7 +45,8 @@ class Target:
     ----------
     name : str
         Name of the object, the camera or the environment.
-    camera, rig : Camera, Rig
+    camera : Camera or PhotographingCamera
+    rig : Rig
         Definitions.
     rig_name : str
         Name of the rig, used for the folder of confirmation files.
@@ -56,7 +57,7 @@ class Target:
     """
 
     name: str
-    camera: Camera
+    camera: AnyCamera
     rig: Rig
     rig_name: str = ""
     table: str | Path = "captures.csv"
@@ -332,6 +333,7 @@ def _outlines(definition: Object | PhotographedObject, target: Target) -> Callab
 
 def capture_camera(target: Target, record, provenance: Provenance, dialogue: Dialogue | None = None) -> dict[str, str]:
     """Photograph dark frames, the white reference and the chart that calibrate a camera; see `photograph`."""
+    assert isinstance(target.camera, Camera)  # its chart and its white reference are photographed
     shots = camera_shots(target.camera, target.suffix)
     return photograph(shots, target, None, record, provenance, owner=f"camera {target.name}", dialogue=dialogue)
 

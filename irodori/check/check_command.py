@@ -9,7 +9,7 @@ from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographCheck
 from irodori.check.scenes import of_scene
 from irodori.config.project import DEFAULT_FILE, inside, load_project, project_faults
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int:
@@ -41,7 +41,7 @@ def _check(files: list[str]) -> int:
         for fault in faults:
             print(Finding(True, str(fault)))
         # Photographs are checked only if the definitions state correctly what they should show.
-        print(f"{len(faults)} error{'' if len(faults) == 1 else 's'}; no photograph was looked at")
+        print(f"{counted(len(faults), 'error')}; no photograph was looked at")
         return 1
     photographs, errors, warnings = PhotographCheck(loaded), 0, 0
     scenes = (finding for name in loaded.scenes for finding in of_scene(loaded, name))
@@ -49,7 +49,8 @@ def _check(files: list[str]) -> int:
     for finding in chain(scenes, angles, photographs.findings()):
         print(finding, flush=True)
         errors, warnings = errors + finding.is_error, warnings + (not finding.is_error)
-    print(f"{photographs.count} photographs looked at: {errors} errors, {warnings} warnings")
+    looked = counted(photographs.count, "photograph")
+    print(f"{looked} looked at: {counted(errors, 'error')}, {counted(warnings, 'warning')}")
     return 1 if errors else 0
 
 

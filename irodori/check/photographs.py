@@ -208,13 +208,13 @@ class PhotographCheck:
             yield from self._of_charts(one, best)
 
     def _of_surroundings(self, one: PhotographSet, photographs: list[tuple[Shot, Mosaic]]) -> Iterator[Finding]:
-        """Merge the exposures of a panorama or mirror ball, and refuse pixels saturated in all, as a run does."""
+        """Merge the exposures of a panorama or mirror ball; refuse saturation and a ball elsewhere, as a run does."""
         # Compiled loops, slow to load.
         from irodori.ingest.camera_reference import Reference
         from irodori.ingest.develop import Frame, merge_frames
         from irodori.ingest.ingest_options import IngestOptions
         from irodori.ingest.photon_transfer import PhotonTransfer
-        from irodori.light.mirror_ball import used_part
+        from irodori.light.mirror_ball import outline_doubt, used_part
         from irodori.light.omnidirectional import refuse_saturated
 
         source = self._loaded.environments[one.subject].source
@@ -226,11 +226,15 @@ class PhotographCheck:
         try:
             for state in filter_states(shot for shot, _ in photographs):
                 frames = [Frame(shot, mosaic, None) for shot, mosaic in photographs if shot.filter == state]
-                by_state.append(merge_frames(unknown, frames, options, None).clipped)
-            saturated = np.logical_or.reduce(by_state)
+                by_state.append(merge_frames(unknown, frames, options, None))
+            saturated = np.logical_or.reduce([one.clipped for one in by_state])
             if isinstance(source, MirrorBallSource):
-                saturated &= used_part(source, *by_state[0].shape)
+                saturated &= used_part(source, *saturated.shape)
             refuse_saturated(saturated, path)
+            if isinstance(source, MirrorBallSource):
+                response = np.concatenate([one.response for one in by_state], axis=-1)
+                if doubt := outline_doubt(source, response, path):
+                    yield Finding(False, f"{path}: {doubt}", path)
         except InputError as error:
             yield Finding(True, str(error), path)
 

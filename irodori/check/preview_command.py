@@ -12,7 +12,7 @@ from irodori.check.photographs import PhotographCheck
 from irodori.check.scenes import of_scene
 from irodori.config.models import Optics
 from irodori.config.project import inside, load_project
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori preview") -> int:
@@ -52,7 +52,8 @@ def _preview(files: list[str], output: Path) -> int:
     sheet.write(output, findings, check.located)
     errors = sum(finding.is_error for finding in findings)
     warnings = len(findings) - errors
-    print(f"{output}: {check.count} photographs looked at: {errors} errors, {warnings} warnings")
+    looked = counted(check.count, "photograph")
+    print(f"{output}: {looked} looked at: {counted(errors, 'error')}, {counted(warnings, 'warning')}")
     print("Whether each outline fits its object is for you to see on the page.")
     return 1 if errors else 0
 

@@ -19,7 +19,7 @@ from irodori.config.validation import suggest
 from irodori.core.atomic_files import written_whole
 from irodori.core.confined_paths import confined, require_inside
 from irodori.core.custody import content_sha256
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.file_kinds import IF_LINEAR, is_picture, kind_instead_of_raw
 from irodori.core.text_tables import table_rows
 
@@ -316,7 +316,7 @@ def _read_captures(path, folder, refuse: Callable[[InputError], None]) -> list[S
     shots = _Shots(path, folder)
     for line, cells in body:
         if len(cells) != len(header):
-            raise InputError(path, f"line {line}", f"{len(cells)} cells", f"{len(header)}, as in the header")
+            raise InputError(path, f"line {line}", counted(len(cells), "cell"), f"{len(header)}, as in the header")
         try:
             shots.add(line, dict(zip(header, cells, strict=True)))
         except InputError as error:

@@ -12,6 +12,9 @@ from irodori.config.definition import Definition, typed
 from irodori.config.models import (
     Body,
     CalibrationOptions,
+    Camera,
+    CameraDriver,
+    CameraPoses,
     Chart,
     DisplayOptions,
     EnvironmentSource,
@@ -33,6 +36,7 @@ from irodori.config.models import (
     SceneLight,
     Sheet,
     Size,
+    VirtualCameraOptions,
     VirtualObject,
 )
 
@@ -50,6 +54,21 @@ class PhotographedObject(Definition):
     level_patch: LevelPatch | None = None
     markers: Markers | None = None
     placements: tuple[FurtherPlacement, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class PhotographingCamera(Definition):
+    """Parts of a camera's definition that photographs of objects, places and scenes depend on."""
+
+    rig: str
+    optics: Optics | None = None
+    poses: CameraPoses | None = None
+    driver: CameraDriver | None = None
+    virtual: VirtualCameraOptions | None = None
+
+
+#: A camera that takes photographs; those of charts and of the white reference need the whole definition.
+AnyCamera = Camera | PhotographingCamera
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

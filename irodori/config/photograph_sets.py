@@ -14,7 +14,7 @@ from irodori.config.capture_table import LENS, noted_hashes, placement_of, read_
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
 from irodori.config.models import CapturesSource, EnvironmentDefinition, Object
-from irodori.config.parts import PhotographedObject, RigGeometry, TrueObject
+from irodori.config.parts import PhotographedObject, PhotographingCamera, RigGeometry, TrueObject
 from irodori.geometry.mesh_sources import shape_files
 from irodori.rectification.texture_tiles import tile_rows
 from irodori.spectra.spectral_files import SUFFIXES
@@ -175,9 +175,11 @@ class PhotographSets:
         return self.loaded.cameras[self.camera_of(wildcards)].rig
 
     def camera(self, wildcards) -> dict:
-        """Return the definition of a set's camera, without what only its calibration depends on."""
-        found = self.loaded.cameras[self.camera_of(wildcards)].plain()
-        return {key: part for key, part in found.items() if key not in _OF_CALIBRATION}
+        """Return the parts of the definition of a set's camera that the photographs of the set depend on."""
+        camera = self.loaded.cameras[self.camera_of(wildcards)]
+        if self._set(wildcards)[0] != "cameras":
+            return _part(PhotographingCamera, camera).plain()
+        return {key: part for key, part in camera.plain().items() if key not in _OF_CALIBRATION}
 
     def rig(self, wildcards) -> dict:
         """Return the definition of a set's rig, without the error of its lamp, on which no photograph depends."""

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from irodori.core.atomic_files import written_whole
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 
 _MARK = b"irodori "
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -626,7 +626,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> in
         return 1
     print("".join(f"{path}: taken as it is\n" for path in chain.accepted), end="")
     removed = f"; {len(chain.removed)} intermediate files are not kept" if chain.removed else ""
-    print(f"every link holds ({len(chain)} results{removed})")
+    print(f"every link holds ({counted(len(chain), 'result')}{removed})")
     return 0
 
 

@@ -36,6 +36,18 @@ class InputError(PlainError, ValueError):
         return type(self), (self.file, self.field, self.found, self.accepted)
 
 
+def counted(number: float, noun: str, form: str = "") -> str:
+    """Return a number and its noun for a message, in the singular if the number reads 1.
+
+    Examples
+    --------
+    >>> counted(1, "pixel"), counted(2, "pixel"), counted(0.996, "pixel", ".2g")
+    ('1 pixel', '2 pixels', '1 pixel')
+    """
+    text = f"{number:{form}}"
+    return f"{text} {noun}{'' if text == '1' else 's'}"
+
+
 def is_file(path) -> bool:
     """Whether a path from a definition is an existing file; also False for a name that no file can have."""
     try:

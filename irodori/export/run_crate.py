@@ -166,6 +166,7 @@ def collect(
     ------
     InputError
         If a result is missing, or a file lies outside the project's folder.
+        If a material or a light was made of another definition than today's.
     PlainError
         If a result is not as its rule wrote it, or a file from which it was made is missing or has changed since.
     """
@@ -181,6 +182,8 @@ def collect(
     for broken in chain.broken(sorted(wanted)):
         raise PlainError(broken)
     made, given = chain.made_from(wanted)
+    configuration = list(configuration)
+    _refuse_edited(loaded, {_inside(path, project) for path in made}, configuration)
     kinds = ((kind, name) for kind in KINDS for name in getattr(loaded, kind))
     definitions = (f"{loaded.config.definitions}/{kind}/{name}.yaml" for kind, name in kinds)
     settings = [project / name for name in (*configuration, *definitions)]
@@ -190,6 +193,18 @@ def collect(
 
     workflow = {_in_crate(path, snakefile): file_sha256(path) for path in workflow_files(snakefile)}
     return RunFiles(project, snakefile, workflow, hashed(settings), hashed(given), hashed(made))
+
+
+def _refuse_edited(loaded: Loaded, made: set[str], configuration: list[str]) -> None:
+    """Raise `InputError` if a material or a light was made of another definition than the one in the crate."""
+    from irodori.export.export_sources import light_of, material_of  # slow to import
+
+    for name in loaded.objects:
+        if f"results/{name}/material.h5" in made:
+            material_of(loaded, name, configuration)
+    for name in loaded.environments:
+        if f"results/environments/{name}.h5" in made:
+            light_of(loaded, name, configuration)
 
 
 def _in_crate(path: Path, snakefile: Path) -> str:

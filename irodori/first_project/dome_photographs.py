@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.file_kinds import IF_LINEAR, is_picture, kind_instead_of_raw
 from irodori.first_project.light_places import photograph_key, read_lamps
 from irodori.first_project.lights_command import same_size
@@ -94,7 +94,7 @@ def read_photographs(files: list[Path], lights, linear: bool = False) -> DomePho
             found = kind_instead_of_raw(file) or "a TIFF picture"
             raise InputError(file, "", found, f"RAW files; or --linear, {IF_LINEAR}")
     if len(files) < _FEWEST:
-        raise InputError(lights, "", f"{len(files)} photographs", f"{_FEWEST} or more, each under another lamp")
+        raise InputError(lights, "", counted(len(files), "photograph"), f"{_FEWEST} or more, each under another lamp")
     green, usable, numbers = [], [], SetNumbers()
     for file in files:
         mosaic = decode(file, linear)

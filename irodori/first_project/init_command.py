@@ -10,7 +10,7 @@ from typing import Any
 
 from irodori.config.capture_table import light_angles_deg
 from irodori.config.definitions import load_definitions
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.yaml_files import read_yaml
 from irodori.first_project.light_places import lamp_of_poses, read_lamps
 from irodori.first_project.photograph_order import ORDERS
@@ -77,7 +77,7 @@ def _write(asked: argparse.Namespace) -> int:
     found, order = photographs(place, asked.linear, asked.order)
     recognised = recognise(found)
     if not any(one.role == "chart" for one in recognised):
-        looked = f"no ColorChecker of 4 x 6 patches in {len(found)} photographs"
+        looked = f"no ColorChecker of 4 x 6 patches in {counted(len(found), 'photograph')}"
         raise InputError(place, "", looked, "one photograph or more of the whole chart, evenly lit")
     print(f"name: {name}", _told(recognised, order), sep="\n")
     answers = _answers(recognised, given, asked, ask)
@@ -88,7 +88,7 @@ def _write(asked: argparse.Namespace) -> int:
     for path, notes in scaffold.assumed().items():
         for note in notes:
             print(f"  {path}: {note}")
-    print(f"{scaffold.configuration}: {len(gaps)} gap{'' if len(gaps) == 1 else 's'}")
+    print(f"{scaffold.configuration}: {counted(len(gaps), 'gap')}")
     for gap in gaps[:_SHOWN_GAPS]:
         print(f"  {gap}: replace ? by {_SHAPE if gap.endswith('.yaml: shape') else 'the value'}")
     if len(gaps) > _SHOWN_GAPS:
@@ -127,12 +127,12 @@ def _told(recognised: list[Recognised], order: str) -> str:
         "chart": "chart: found, and its colours fit the known spectra",
         "white": "white: one even grey surface fills the frame",
         "dark": "dark: no light at all",
-        "object": f"object: all others; successive photographs that look alike are one pose, which gives {poses} poses",
+        "object": "object: all others; successive photographs that look alike are one pose, "
+        f"which gives {counted(poses, 'pose')}",
     }
     known = [words for role, words in sure.items() if any(one.role == role for one in recognised)]
     open_ones = [one.photograph.path.name for one in recognised if not one.filter]
-    plural = "" if len(recognised) == 1 else "s"
-    lines = [f"{len(recognised)} photograph{plural}, in the order of {order}", *parts, *known]
+    lines = [f"{counted(len(recognised), 'photograph')}, in the order of {order}", *parts, *known]
     if open_ones:
         lines.append(f"filter unknown; is a photograph missing or out of order? {', '.join(open_ones[:5])}")
     return "\n".join(lines)

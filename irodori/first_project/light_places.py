@@ -7,7 +7,7 @@ from pathlib import Path, PureWindowsPath
 from typing import TypeVar
 
 from irodori.core.atomic_files import written_whole
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.text_tables import table_rows, with_decimal_points
 from irodori.first_project.recognition import Recognised
 
@@ -127,7 +127,7 @@ def read_light_places(path) -> dict[str, tuple[float, float, float]]:
         places[key] = (x, y, z)
     number, count = rows[0]
     if count != str(len(places)):
-        found = f"{count!r} above {len(places)} photographs"
+        found = f"{count!r} above {counted(len(places), 'photograph')}"
         raise InputError(path, f"line {number}", found, "the number of photographs that follow")
     return places
 

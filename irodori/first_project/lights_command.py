@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from irodori.config.capture_table import light_angles_deg
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.first_project.mirror_highlights import brightness, lamp_direction, outline, write_light_places
 from irodori.first_project.photograph_order import ORDERS, in_counting_order, in_order
 from irodori.ingest.plausibility import camera_time
@@ -66,7 +66,7 @@ def paired(asked: argparse.Namespace) -> tuple[list[Path], list[str]]:
     if not asked.names:
         return files, [file.name for file in files]
     if len(asked.names) != len(files):
-        found = f"{len(files)} photographs of the ball and {len(asked.names)} names"
+        found = f"{counted(len(files), 'photograph')} of the ball and {counted(len(asked.names), 'name')}"
         raise InputError("--names", "", found, "one name for each photograph")
     both = _times(files), _times(map(Path, asked.names))
     some_state_it = any(any(times.values()) for times in both)

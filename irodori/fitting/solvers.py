@@ -12,6 +12,7 @@ import numpy as np
 from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
 from irodori.config.definition import check_choices, typed
 from irodori.config.models import Fit, FitBounds
+from irodori.core.errors import counted
 from irodori.fitting import judge, nlopt_loop, texels, two_lobes
 from irodori.fitting.observations import Minimum, Rules, camera_noise
 from irodori.fitting.reported_parameters import report_parameters
@@ -170,7 +171,7 @@ def check_lobes(lobes) -> None:
         If there is none, more than two, or an unknown name; the message suggests the nearest known name.
     """
     if not 1 <= len(lobes) <= MAX_LOBES:
-        raise ValueError(f"{len(lobes)} lobes; accepted: 1 to {MAX_LOBES}")
+        raise ValueError(f"{counted(len(lobes), 'lobe')}; accepted: 1 to {MAX_LOBES}")
     for name in lobes:
         if name not in names():
             near = get_close_matches(str(name), names(), 1, 0.0)[0]

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.progress import LOGGER
 from irodori.geometry.normals import corner_normals, least_cosines
 from irodori.jit.compilation import njit
@@ -237,7 +237,9 @@ def _check_winding(vertices, faces, file) -> None:
     against = int(((count == 2) & (forward != 1)).sum())
     if against:
         accepted = "triangles counter-clockwise seen from outside (recalculate the outside of the mesh)"
-        raise InputError(file, "faces", f"{against} edges whose two triangles look to opposite sides", accepted)
+        raise InputError(
+            file, "faces", f"{counted(against, 'edge')} whose two triangles look to opposite sides", accepted
+        )
     if (count == 2).all() and _volume(vertices, faces, vertices.mean(axis=0)) < 0.0:
         accepted = "triangles counter-clockwise seen from outside (flip the faces)"
         raise InputError(file, "faces", "a closed surface that looks inward", accepted)

@@ -13,7 +13,7 @@ from irodori.core.progress import LOGGER, track
 from irodori.ingest.dark_frames import Dark, measure_dark
 from irodori.ingest.develop import develop, require_pattern
 from irodori.ingest.exposure_settings import filter_states, known_settings, settle, settle_set
-from irodori.ingest.flat_field import fit_flat
+from irodori.ingest.flat_field import find_spot, fit_flat
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.linearity import measure_linearity
 from irodori.ingest.mosaic import decode
@@ -224,5 +224,15 @@ def _white(reference: Reference, group: list[Shot], table, folder, reflectance: 
         except ValueError as error:
             accepted = "a white reference that fills the picture and is evenly lit"
             raise InputError(path, "white", str(error), accepted) from None
+        if len(coefficients) == 1 and (spot := find_spot(state.response, valid, coefficients[0])):
+            LOGGER.warning(
+                "%s: about %.0f, %.0f (superpixels) %.0f %% %s than a smooth surface, as by dust or a stain, which the "
+                "white reference does not correct: clean card, lens and sensor",
+                path,
+                spot.column,
+                spot.row,
+                100 * abs(spot.difference),
+                "darker" if spot.difference < 0 else "brighter",
+            )
     LOGGER.info("white reference, filter %s: %d rounds of frames", group[0].filter, len(coefficients))
     return np.mean(coefficients, axis=0) / (cosine * reflectance)

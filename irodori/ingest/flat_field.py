@@ -15,6 +15,8 @@ DEGREE = 4
 POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # powers of x and of y
 _ROWS = 64  # rows that a thread takes at a time
 _MAX_RESIDUAL = 0.05  # largest RMS residual relative to the mean; pixel noise of a white reference is far below
+_BLOCKS, _LEAST_BLOCK_PX = 32, 8  # squares along the shorter side in which spots are looked for, and their least side
+_NOISE = 5.0  # standard deviations of the noise of such a square, of which there are some thousand
 
 
 def fit_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -55,6 +57,43 @@ def fit_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
     if not (corners > 0).all() or not (np.abs(spread) < _MAX_RESIDUAL).all():
         raise ValueError(f"a picture that varies by {np.max(np.abs(spread)):.0%} about a smooth surface")
     return coefficients
+
+
+class Spot(NamedTuple):
+    """Square of a flat-field picture that differs from the fitted surface: its middle, px, and how far."""
+
+    row: float
+    column: float
+    difference: float  # picture / surface - 1
+
+
+def find_spot(image: np.ndarray, valid: np.ndarray, coefficients: np.ndarray) -> Spot | None:
+    """Return the square that differs most from the surface fitted to a picture; None if none does by 5 % and noise.
+
+    Parameters
+    ----------
+    image, valid, coefficients : see `fit_flat`
+    """
+    side = max(-(-min(valid.shape) // _BLOCKS), _LEAST_BLOCK_PX)
+    rows, columns = (length // side for length in valid.shape)
+    if not rows or not columns:
+        return None
+
+    def summed(picture: np.ndarray) -> np.ndarray:
+        whole = picture[: rows * side, : columns * side]
+        return whole.reshape(rows, side, columns, side, *picture.shape[2:]).sum(axis=(1, 3), dtype=np.float64)
+
+    seen, fitted = (np.where(valid[..., None], one, 0.0) for one in (image, evaluate_flat(coefficients, *valid.shape)))
+    is_judged = summed(valid) > 0.5 * side**2
+    difference = np.where(is_judged[..., None], summed(seen) / np.maximum(summed(fitted), 1e-30) - 1.0, 0.0)
+    # The median is hardly changed by the spot itself; of a normal distribution it is 0.674 standard deviations.
+    noise = np.median(np.abs(difference), axis=(0, 1)) / 0.674
+    beyond = np.abs(difference) - _NOISE * noise
+    row, column, band = np.unravel_index(beyond.argmax(), beyond.shape)
+    if beyond[row, column, band] <= _MAX_RESIDUAL:
+        return None
+    middle = 0.5 * (side - 1)
+    return Spot(row * side + middle, column * side + middle, float(difference[row, column, band]))
 
 
 def evaluate_flat(coefficients: np.ndarray, height: int, width: int) -> np.ndarray:

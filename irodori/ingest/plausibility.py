@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from irodori.config.capture_table import DRIFT, Shot, flat_incidence_rad
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.file_kinds import kind_instead_of_raw
 from irodori.ingest.exposure_settings import relative_exposure_s
 from irodori.ingest.mosaic import Mosaic, decode
@@ -477,7 +477,7 @@ class Series:
             return ""
         frames = [at for at, (s, _) in enumerate(self._seen) if s.role == DRIFT]
         since = [s.file for s, _ in self._seen[frames[-1] + 1 if frames else 0 :]]
-        return f"; in doubt are the {len(since)} photographs before it, from {since[0]} on" if since else ""
+        return f"; in doubt are the {counted(len(since), 'photograph')} before it, from {since[0]} on" if since else ""
 
     def _kind(self, shot: Shot) -> list[tuple[Shot, Look]]:
         return [(s, seen) for s, seen in self._seen if (s.subject, s.filter) == (shot.subject, shot.filter)]

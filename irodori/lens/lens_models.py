@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from irodori.core.errors import PlainError
+from irodori.core.errors import PlainError, counted
 from irodori.core.left_out import simplest
 
 #: Fitted coefficients of each model, by its name, simplest first.
@@ -110,8 +110,8 @@ def fit_lens(sheets: Sequence[Sheet], size: tuple[int, int]) -> tuple[Lens, list
     while True:
         if len(used) < LEAST_PHOTOGRAPHS:
             raise PlainError(
-                f"found {len(used)} photographs that agree with each other; accepted: {LEAST_PHOTOGRAPHS} or more, "
-                "of a flat sheet in different directions"
+                f"found {counted(len(used), 'photograph')} in agreement with each other; "
+                f"accepted: {LEAST_PHOTOGRAPHS} or more, of a flat sheet in different directions"
             )
         _, per_sheet = _fit(used, size, "k1 k2")
         worst = int(np.argmax(per_sheet))

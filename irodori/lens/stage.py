@@ -9,7 +9,7 @@ import yaml
 from irodori.config.capture_table import LENS, read_captures, shot_path
 from irodori.config.models import Optics
 from irodori.core.atomic_files import written_whole
-from irodori.core.errors import InputError, PlainError
+from irodori.core.errors import InputError, PlainError, counted
 from irodori.core.progress import LOGGER, track
 from irodori.first_project.raw_folder import pixel_pitch_um
 from irodori.geometry.distortion import COEFFICIENTS
@@ -99,7 +99,7 @@ class SheetReader:
             If the photographs do not agree with each other, or do not determine the focal length.
         """
         if len(self._sheets) < LEAST_PHOTOGRAPHS or self._first is None or not self._pitch_um:
-            found = f"the sheet in {len(self._sheets)} photographs"
+            found = f"the sheet in {counted(len(self._sheets), 'photograph')}"
             accepted = (
                 f"{LEAST_PHOTOGRAPHS} or more in which most of the sheet that irodori lens --print writes is seen"
             )

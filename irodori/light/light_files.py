@@ -6,7 +6,7 @@ import numpy as np
 
 from irodori.colour.display import srgb
 from irodori.colour.icc import D50_XYZ, bradford, read_profile
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.progress import LOGGER
 from irodori.export.pictures import Header, layers_of, picture_bands, picture_header
 from irodori.light.clipped_lamps import LargestNumbers
@@ -115,7 +115,9 @@ def _sound(band: np.ndarray, first: int, path) -> np.ndarray:
     rows = f"in rows {first} to {first + len(band) - 1}"
     bad = int((~np.isfinite(band)).any(axis=-1).sum())
     if bad:
-        raise InputError(path, "", f"{bad} pixels that are not finite {rows}", "finite radiance everywhere")
+        raise InputError(
+            path, "", f"{counted(bad, 'pixel')} without a finite value {rows}", "finite radiance everywhere"
+        )
     bad = int((band == _HALF_LARGEST).any(axis=-1).sum())
     if bad:
         found = f"{bad} pixels of exactly {_HALF_LARGEST:g} {rows}, at which half precision cuts off brighter ones"

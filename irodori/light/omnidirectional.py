@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.light.environment_file import PixelNoise, directions
 
 #: Rows of a picture that are read at a time; EXR compresses 16 or 32 rows together.
@@ -122,7 +122,7 @@ def refuse_saturated(saturated: np.ndarray, file) -> None:
     InputError
     """
     if saturated.any():
-        found = f"{np.count_nonzero(saturated)} pixels saturated in every bracket"
+        found = f"{counted(int(saturated.sum()), 'pixel')} saturated in every bracket"
         raise InputError(file, "exposure_s", found, "a shorter bracket of the environment")
 
 

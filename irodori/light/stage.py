@@ -20,7 +20,7 @@ from irodori.config.models import (
     SpectralSource,
 )
 from irodori.core import store
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.progress import LOGGER
 from irodori.light.environment_file import QUANTITY, Environment, PixelNoise, directions
 from irodori.light.gloss_maps import GlossMaps
@@ -29,7 +29,7 @@ from irodori.light.known_lamps import known_prior, require_lamps_seen, told_by
 from irodori.light.light_files import rgb_picture, spectral_picture
 from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
-from irodori.light.mirror_ball import mean_reflectance, unwrapped, used_part
+from irodori.light.mirror_ball import mean_reflectance, outline_doubt, unwrapped, used_part
 from irodori.light.omnidirectional import (
     KeptPicture,
     MeanLight,
@@ -104,7 +104,10 @@ def _photographed(
     calibration.require_filters(filters, linear)
     beside = lost_neighbours(~valid)
     if beside:
-        found, accepted = f"{beside} masked pixels beside each other in a row", "masked pixels that stand alone"
+        found, accepted = (
+            f"{counted(beside, 'masked pixel')} beside each other in a row",
+            "masked pixels that stand alone",
+        )
         raise InputError(linear, "valid", found, f"{accepted}, or a stitched panorama")
     if not valid.all():
         LOGGER.info("%d masked pixels filled from their neighbours along the row", int((~valid).sum()))
@@ -148,6 +151,8 @@ def _mirror_ball(
     with store.open_file(linear) as file:
         response = file.read("response")
     response = np.where(valid[..., None], response, 0.0)
+    if doubt := outline_doubt(source, response, linear):
+        LOGGER.warning("%s: %s", linear, doubt)
     # For a distant camera, equal areas of the image of the ball show equal solid angles. Of each strip as many
     # directions are drawn as of each part of a panorama, so that small lamps are among them.
     drawn = draw_directions((strip, 1.0) for strip in np.array_split(response[ball(*valid.shape)], _STRIPS))
@@ -198,8 +203,8 @@ def prepare_environment(
     ------
     InputError
         If a pixel is saturated in every bracket, or masked pixels are adjacent; if a panorama does not show all
-        directions, see `irodori.light.whole_sphere`; if a chart in the place cannot be read,
-        or a chart or the lamps are inconsistent with the panorama.
+        directions, see `irodori.light.whole_sphere`; if a mirror ball's outline is not where it was typed; if a chart
+        in the place cannot be read, or a chart or the lamps are inconsistent with the panorama.
 
     Notes
     -----
@@ -322,7 +327,8 @@ def write_environment(
     first = Tiles(picture if kept is None else KeptPicture(picture, kept))
     moments = second_moments(first, also=mean.add if white is None else None)
     if moments.masked:
-        raise InputError(picture.file, "", f"{moments.masked} pixels that are not finite", "finite radiance everywhere")
+        found = f"{counted(moments.masked, 'pixel')} without a finite value"
+        raise InputError(picture.file, "", found, "finite radiance everywhere")
     white = mean.light(picture.basis) if white is None else white
     compression = choose(moments, picture.basis, observers(white), options)
     if kept is None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.core import store
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.progress import LOGGER
 from irodori.material.material_file import NloptResult, Status, gloss_maps, gloss_names, read_coat, read_lobes
 from irodori.reflection.coat import SUM
@@ -129,7 +129,7 @@ class FittedTiles:
                     covered[first:last] += 1
                     tiles.append(FittedTile(path, (first, last), first - whole[0]))
         if not (covered == 1).all():
-            found = f"{int((covered != 1).sum())} rows missing or doubled"
+            found = f"{counted(int((covered != 1).sum()), 'row')} missing or doubled"
             raise InputError(self.first, "rows", found, f"tiles that cover {height} rows once")
         self.tiles = sorted(tiles, key=lambda tile: tile.rows)
 

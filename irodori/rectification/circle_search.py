@@ -21,7 +21,7 @@ _CELLS = 120
 #: its gradient from the radial direction, as a cosine.
 _NEAR, _TURN = (0.08, 0.04, 0.02, 0.012, 0.012), math.cos(math.radians(20.0))
 #: Least share of the circle along which edges have to be found.
-_LEAST_SEEN = 0.4
+LEAST_SEEN = 0.4
 #: Largest distance of an edge from a circle that is not fitted yet, as a share of the radius.
 _RING = 0.02
 _SECTORS, _ROUNDS = 72, 8
@@ -68,12 +68,7 @@ def find_circle(picture, path) -> Circle:
     InputError
         If there is no circle with edges along at least two fifths of it.
     """
-    from scipy import ndimage  # slow to import
-
-    # Square roots of brightness give dim and bright parts of an outline about the same weight.
-    picture = ndimage.gaussian_filter(np.sqrt(np.maximum(picture, 0.0)), 1.0)
-    slope = np.stack([ndimage.sobel(picture, axis=1), ndimage.sobel(picture, axis=0)], axis=-1)
-    place, towards = _edges(slope)
+    place, towards = _edges_of(picture)
     accepted = "one ball, whole, against a background of another brightness; or its circle, or its mask"
     if len(place) < _SECTORS:
         raise InputError(path, "", "a picture without edges", accepted)
@@ -84,9 +79,23 @@ def find_circle(picture, path) -> Circle:
             raise InputError(path, "", "no ball's outline", accepted)
         circle = fitted
     seen = _seen(place, towards, circle, _NEAR[-1])
-    if seen < _LEAST_SEEN:
+    if seen < LEAST_SEEN:
         raise InputError(path, "", f"a ball's outline of which edges show {seen:.0%}", accepted)
     return circle
+
+
+def seen_along(picture, circle: Circle) -> float:
+    """Return the share of a circle along which a picture, (rows, columns), has edges, 0 to 1."""
+    return _seen(*_edges_of(picture), circle, _RING)
+
+
+def _edges_of(picture) -> tuple[np.ndarray, np.ndarray]:
+    """Return the edges of a picture, see `_edges`."""
+    from scipy import ndimage  # slow to import
+
+    # Square roots of brightness give dim and bright parts of an outline about the same weight.
+    picture = ndimage.gaussian_filter(np.sqrt(np.maximum(picture, 0.0)), 1.0)
+    return _edges(np.stack([ndimage.sobel(picture, axis=1), ndimage.sobel(picture, axis=0)], axis=-1))
 
 
 def _edges(slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +154,7 @@ def _outermost(place: np.ndarray, towards: np.ndarray, circle: Circle, shape) ->
     """Return the largest concentric circle with edges along two fifths of it, because a ball may have painted rings."""
     larger = np.arange(circle.radius, _RADII[1] * min(shape), min(shape) / _CELLS)
     rings = [circle._replace(radius=float(radius)) for radius in larger]
-    return next((ring for ring in rings[::-1] if _seen(place, towards, ring, _RING) >= _LEAST_SEEN), circle)
+    return next((ring for ring in rings[::-1] if _seen(place, towards, ring, _RING) >= LEAST_SEEN), circle)
 
 
 def _facing(place: np.ndarray, towards: np.ndarray, circle: Circle, near: float) -> np.ndarray:

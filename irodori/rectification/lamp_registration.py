@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irodori.core.errors import counted
 from irodori.reflection.equation5 import angles_from_directions
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
@@ -88,7 +89,9 @@ def register_lamps(response, normal, view, weight, direction, *, error_deg: floa
 
     count = len(direction)
     if count < 4:
-        raise ValueError(f"{count} photographs; accepted: four or more, of which three give one diffuse weight")
+        raise ValueError(
+            f"{counted(count, 'photograph')}; accepted: four or more, of which three give one diffuse weight"
+        )
     scale = (weight * response).sum() / weight.sum()
     part = weight * np.sqrt(_READINGS / weight.sum(axis=0)) / _MISFIT
     first, second = perpendiculars(direction)

@@ -14,7 +14,7 @@ import numpy as np
 
 from irodori.config.capture_table import Pose
 from irodori.core import store
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.geometry.pinhole import superpixels_from_samples
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, rotation_xyz, to_camera
 from irodori.geometry.shapes.shape import Shape
@@ -232,7 +232,7 @@ def not_found(linear: Sequence) -> InputError:
     """Return the error for photographs none of which shows the sheet."""
     from irodori.lens.printed_sheets import LENS_SHEET
 
-    found = f"the sheet in none of {len(linear)} photographs"
+    found = f"the sheet in none of {counted(len(linear), 'photograph')}"
     if any(len(LENS_SHEET.find(_green(path)[0])[0]) >= _LEAST_CORNERS for path in linear):
         found += ", but that of irodori lens"
     accepted = (

@@ -10,7 +10,7 @@ from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.colour.display import Display, make_display, srgb
 from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core.atomic_files import written_whole
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.progress import LOGGER
 from irodori.core.store import Provenance
 from irodori.export.loss import LOSS, display_loss, stored_loss
@@ -118,7 +118,9 @@ def require_finite(picture: np.ndarray, path) -> None:
     """
     bad = np.argwhere(~np.isfinite(picture).all(axis=-1))
     if len(bad):
-        found = f"{len(bad)} pixels without a finite colour, the first in row {bad[0, 0]}, column {bad[0, 1]}"
+        found = (
+            f"{counted(len(bad), 'pixel')} without a finite colour, the first in row {bad[0, 0]}, column {bad[0, 1]}"
+        )
         raise InputError(path, "", found, "finite light in every pixel; please report this fault of the renderer")
 
 

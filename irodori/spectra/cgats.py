@@ -7,7 +7,7 @@ SPECTRAL_END_NM, SPECTRAL_NORM and the columns SPEC_xxx are ArgyllCMS's.
 import re
 from dataclasses import dataclass, field
 
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.text_tables import read_text
 from irodori.spectra.tables import number
 
@@ -54,7 +54,7 @@ def cgats_table(path) -> tuple[list[str], list[float], list[list[float]]]:
     """
     tables = [table for table in _tables(path) if table.bands]
     if len(tables) != 1:
-        found = f"{len(tables)} tables with columns of spectral values"
+        found = f"{counted(len(tables), 'table')} with columns of spectral values"
         raise InputError(path, "BEGIN_DATA_FORMAT", found, "one table with columns such as SPEC_400")
     table = tables[0]
     wavelength = _wavelengths(table, path)
@@ -84,7 +84,7 @@ def named_columns(path, names: list[str]) -> list[list[float]]:
     """
     tables = [table for table in _tables(path) if set(names) <= set(table.columns)]
     if len(tables) != 1:
-        found = f"{len(tables)} tables with the columns {', '.join(names)}"
+        found = f"{counted(len(tables), 'table')} with the columns {', '.join(names)}"
         raise InputError(path, "BEGIN_DATA_FORMAT", found, "one table with these columns")
     places = [(name, tables[0].columns.index(name)) for name in names]
     return [
@@ -150,10 +150,12 @@ def _whole_rows(table: _Table, path) -> list[tuple[int, list[str]]]:
     tokens = [(line, token) for line, row in rows for token in row]
     if ragged and (stated is None or stated * width != len(tokens)):
         line, row = ragged
-        raise InputError(path, f"line {line}", f"{len(row)} values", f"{width} values, one a column of the data format")
+        raise InputError(
+            path, f"line {line}", counted(len(row), "value"), f"{width} values, one a column of the data format"
+        )
     if ragged:
         rows = [(tokens[i][0], [token for _, token in tokens[i : i + width]]) for i in range(0, len(tokens), width)]
     if not rows or (stated is not None and stated != len(rows)):
-        found = f"{len(rows)} samples" + ("" if stated is None else f" where NUMBER_OF_SETS is {stated}")
+        found = counted(len(rows), "sample") + ("" if stated is None else f" where NUMBER_OF_SETS is {stated}")
         raise InputError(path, "BEGIN_DATA", found, "as many samples as NUMBER_OF_SETS, one or more")
     return rows

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from irodori.core.errors import InputError, is_file
+from irodori.core.errors import InputError, counted, is_file
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 from irodori.spectra.published_names import (
     BLACKBODY_K,
@@ -190,7 +190,7 @@ def camera_sensitivities(name: str) -> np.ndarray:
     if Path(name).suffix:
         names, spectra = read_spectra(name)
         if len(names) != 3:
-            raise InputError(name, "", f"{len(names)} bands", "three bands: r, g, b")
+            raise InputError(name, "", counted(len(names), "band"), "three bands: r, g, b")
         return spectra
     raise InputError("camera", name, repr(name), f"a file or one of: {', '.join(CAMERAS)}")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.text_tables import read_text
 from irodori.core.text_tables import with_decimal_points as _with_points
 from irodori.spectra.cgats import cgats_table
@@ -263,7 +263,7 @@ def _two_columns(path) -> SpectralTable:
     rows = _with_points(rows, path)
     for line, row in rows:
         if len(row) != 2:
-            raise InputError(path, f"line {line}", f"{len(row)} columns", accepted)
+            raise InputError(path, f"line {line}", counted(len(row), "column"), accepted)
     wavelength = [number(row[0], path, f"line {line}, wavelength") for line, row in rows]
     values = [number(row[1], path, f"line {line}, {at:g} nm") for (line, row), at in zip(rows, wavelength, strict=True)]
     return SpectralTable([Path(path).stem], wavelength, [values], is_power=Path(path).suffix.lower() == ".spd")

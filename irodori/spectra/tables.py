@@ -3,7 +3,7 @@
 import math
 from itertools import pairwise
 
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 from irodori.core.text_tables import table_rows
 
 FIRST_NM, LAST_NM = 400.0, 700.0
@@ -31,7 +31,7 @@ def check_wavelengths(wavelength_nm, file, field: str = "wavelength", max_gap_nm
     """
     pairs = list(pairwise(wavelength_nm))
     if not pairs:
-        raise InputError(file, field, f"{len(wavelength_nm)} wavelengths", "a range that covers 400..700 nm")
+        raise InputError(file, field, counted(len(wavelength_nm), "wavelength"), "a range that covers 400..700 nm")
     for before, after in pairs:
         if not before < after:
             found = f"wavelengths that do not increase ({after:g} nm after {before:g} nm)"
@@ -135,7 +135,7 @@ def csv_rows(path) -> list[tuple[int, list[str]]]:
     """
     rows = table_rows(path, "a CSV of spectra")
     if len(rows) < 2 or len(rows[0][1]) < 2:
-        raise InputError(path, "", f"{len(rows)} lines", "a header and at least one row of two columns")
+        raise InputError(path, "", counted(len(rows), "line"), "a header and at least one row of two columns")
     return rows
 
 
@@ -157,7 +157,7 @@ def number_rows(rows: list[tuple[int, list[str]]], path) -> list[list[float]]:
 def check_length(row: list, header: list, path, line: int) -> None:
     """Raise an error for a row with another number of cells than the header."""
     if len(row) != len(header):
-        raise InputError(path, f"line {line}", f"{len(row)} columns", f"{len(header)} columns")
+        raise InputError(path, f"line {line}", counted(len(row), "column"), counted(len(header), "column"))
 
 
 def number(text: str, path, field: str) -> float:

@@ -412,6 +412,31 @@ def test_a_light_saturated_in_every_exposure_is_said_before_any_job(
     assert len(found) == (saturated > 0) and all(line.startswith(words) for line in found), found
 
 
+@pytest.mark.parametrize(("radius", "said_of_it"), [(30, ""), (38, "error"), (25, "error")])
+def test_a_mirror_ball_that_is_not_where_it_was_typed_is_said_before_any_job(
+    project, tmp_path, capsys, monkeypatch, radius, said_of_it
+):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    (folder / "room").mkdir()
+    rows, columns = np.indices((200, 200)) // 2
+    level = np.where(np.hypot(rows - 50, columns - 47) < 30.0, 6000.0, 2000.0)
+    counted = np.random.default_rng(7).poisson(2.0 * level) / 2.0
+    lines = ["file,role,light_deg,camera_deg,filter,exposure_s"]
+    for state in ("out", "in"):
+        mosaic = np.rint(600.0 + counted).astype(np.uint16)
+        write_any_dng(folder / f"room/{state}.dng", mosaic, exposure_s=0.02)
+        lines.append(f"{state}.dng,environment,0,0,{state},0.02")
+    (folder / "room/captures.csv").write_text("\n".join(lines) + "\n")
+    ball = {"kind": "mirror_ball", "centre_px": [47, 50], "radius_px": radius, "reflectance_factor": 0.9}
+    room = {"camera": "own", "image": {"width": 64, "height": 32}, "captures": {"table": "room/captures.csv"}}
+    light = {"environments/room.yaml": room | {"source": ball}, "scenes/desk.yaml": SCENE | {"environment": "room"}}
+    write(folder, light)
+    found = [line for line in said(folder, capsys)[1] if "radius_px" in line]
+    assert [line.split(": ")[0] for line in found] == ([said_of_it] if said_of_it else [])
+    assert all("edges like those of a ball about" in line for line in found)
+
+
 def test_faults_of_several_files_and_lines_are_listed_together_and_each_once(project, tmp_path, capsys, monkeypatch):
     folder = shutil.copytree(project, tmp_path / "project")
     monkeypatch.chdir(folder)

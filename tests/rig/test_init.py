@@ -229,7 +229,7 @@ def test_a_light_position_file_says_where_the_lamp_of_each_pose_stood(seen, take
     ("text", "found"),
     [
         ("", "an empty file"),
-        ("2\na.jpg 0 0 1\n", "'2' above 1 photographs"),
+        ("2\na.jpg 0 0 1\n", "'2' above 1 photograph"),
         ("1\na.jpg 0 0 0\n", "'a.jpg 0 0 0'"),
         ("1\na.jpg 0 one 1\n", "'a.jpg 0 one 1'"),
         ("1\na.jpg 0 1\n", "'a.jpg 0 1'"),

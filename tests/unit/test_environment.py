@@ -354,7 +354,7 @@ def test_stage_refuses_pixels_without_a_valid_bracket(tmp_path):
     valid[3, 4] = 0
     calibration = Calibration(np.eye(61)[:, :3], LinearMapping(np.eye(3)), np.ones(61), ("out",))
     write_inputs(tmp_path, np.ones((8, 16, 3)), valid, calibration)
-    with pytest.raises(InputError, match="1 pixels saturated"):
+    with pytest.raises(InputError, match="1 pixel saturated"):
         stage(tmp_path)
     assert not (tmp_path / "e.h5").exists()
 

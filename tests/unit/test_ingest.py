@@ -35,7 +35,7 @@ from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
 from irodori.ingest.camera_reference import Reference, ingest_reference
 from irodori.ingest.develop import _noise_model
-from irodori.ingest.flat_field import evaluate_flat, fit_flat
+from irodori.ingest.flat_field import evaluate_flat, find_spot, fit_flat
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.merge import ExposureBracket
 from irodori.ingest.mosaic import ALGORITHMS
@@ -259,6 +259,46 @@ def test_what_is_no_even_surface_is_no_flat():
             fit_flat(picture, valid)
     with pytest.raises(ValueError, match="without a single valid pixel"):
         fit_flat(even, ~valid)
+
+
+@pytest.mark.parametrize(("depth", "radius_px"), [(0.15, 6.0), (0.15, 12.0), (-0.15, 9.0), (0.08, 12.0)])
+def test_a_spot_on_a_white_reference_is_found_where_it_is(depth, radius_px):
+    """The surface changes by a third from the middle to a corner, as behind a lens, and has 1 % of noise."""
+    rng, valid = np.random.default_rng(4), np.ones((200, 300), bool)
+    rows, columns = np.indices(valid.shape)
+    even = (1.0 - 0.33 * (np.hypot(rows - 100, columns - 150) / 180.0) ** 2)[..., None] * [0.5, 0.8, 0.3]
+    even = even * (1.0 + 0.01 * rng.standard_normal(even.shape))
+    valid[0:30, 0:30] = False
+    masked = np.where(valid[..., None], even, 9.0)
+    assert find_spot(masked, valid, fit_flat(masked, valid)) is None
+    blot = 1.0 - depth * (np.hypot(rows - 140, columns - 70) < radius_px)
+    spoilt = masked * blot[..., None]
+    found = find_spot(spoilt, valid, fit_flat(spoilt, valid))
+    assert np.hypot(found.row - 140, found.column - 70) <= radius_px and found.difference * depth < 0.0
+    assert 0.05 < abs(found.difference) <= abs(depth) + 0.02
+
+
+def test_noise_of_a_dim_white_reference_is_no_spot():
+    """Of pixels with 20 % of noise, the squares of 8 x 8 are off by up to 9 %."""
+    rng, valid = np.random.default_rng(4), np.ones((200, 300), bool)
+    flat = fit_flat(np.ones((*valid.shape, 3)), valid)
+    noisy = 1.0 + 0.2 * rng.standard_normal((*valid.shape, 3))
+    assert find_spot(noisy, valid, flat) is None
+    noisy[80:90, 40:50] *= 0.6
+    assert find_spot(noisy, valid, flat).difference < -0.25
+
+
+def test_a_spot_on_the_white_reference_is_said(tmp_path, caplog):
+    for depth in (0.0, 0.15):
+        caplog.clear()
+        folder = tmp_path / str(depth)
+        folder.mkdir()
+        studio = Studio(folder, seed=31)
+        white = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.5)
+        white[8:16, 8:16] *= 1.0 - depth
+        studio.shoot("white", white)
+        ingest_reference(studio.table(), folder, folder / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+        assert ("darker than a smooth surface, as by dust or a stain" in caplog.text) is (depth > 0.0)
 
 
 def test_an_even_picture_is_a_flat_field_however_small_and_dim():

@@ -108,7 +108,7 @@ def test_of_models_as_good_as_each_other_the_simplest_is_taken():
 def test_too_few_photographs_and_files_without_a_pixel_pitch_are_refused(tmp_path, capsys):
     store(tmp_path / "lens", [photographed(TRUE, PLACES[0])])
     assert main(["lens", str(tmp_path / "lens"), "--pixel-pitch-um", "5"]) == 2
-    assert "found the sheet in 1 photographs; accepted: 5 or more" in capsys.readouterr().err
+    assert "found the sheet in 1 photograph; accepted: 5 or more" in capsys.readouterr().err
     assert main(["lens", str(tmp_path / "lens")]) == 2
     assert "--pixel-pitch-um" in capsys.readouterr().err
 

@@ -121,7 +121,7 @@ def test_pictures_that_are_no_light_are_refused(tmp_path):
         rgb_picture(tmp_path / "display.png")
     broken = np.ones((4, 8, 3), np.float32)
     broken[2, 2] = np.inf
-    with pytest.raises(InputError, match="1 pixels that are not finite"):
+    with pytest.raises(InputError, match="1 pixel without a finite value"):
         _ = rgb_picture(write_exr(tmp_path / "inf.exr", broken)).weights
 
 
@@ -319,7 +319,7 @@ def test_light_that_is_not_finite_is_refused_and_black_light_is_black(tmp_path):
 
     broken = np.ones((8, 16, 1), np.float32)
     broken[2, 3] = np.nan
-    with pytest.raises(InputError, match="1 pixels that are not finite"):
+    with pytest.raises(InputError, match="1 pixel without a finite value"):
         write_environment(picture(broken), None, tmp_path / "e.h5", *OPTIONS)
     assert not (tmp_path / "e.h5").exists()
     write_environment(picture(0 * np.ones_like(broken)), None, tmp_path / "e.h5", *OPTIONS, gloss_maps=True)

@@ -199,7 +199,7 @@ def test_a_photograph_whose_sheet_contradicts_its_pose_is_named_with_its_angle(t
 @pytest.mark.parametrize(
     "sheet, count, words",
     [
-        (None, 1, "the sheet in none of 1 photographs; acc"),
+        (None, 1, "the sheet in none of 1 photograph; acc"),
         (None, 2, "the sheet in none of 2 photographs; acc"),
         (LENS_SHEET, 2, "but that of irodori lens; acc"),
     ],

@@ -294,7 +294,7 @@ def test_tiles_that_do_not_make_the_texture_are_refused(tmp_path, calibration):
     write_tile(tmp_path / "a.h5", (0, 4), 10, 1)
     write_tile(tmp_path / "b.h5", (3, 8), 10, 2)
     write_tile(tmp_path / "c.h5", (4, 8), 10, 2, filters=["out"])
-    with pytest.raises(InputError, match="1 rows missing or doubled"):
+    with pytest.raises(InputError, match="1 row missing or doubled"):
         FittedTiles([tmp_path / "a.h5", tmp_path / "b.h5"], 8, 10)
     with pytest.raises(InputError, match="4 rows missing or doubled"):
         FittedTiles([tmp_path / "a.h5"], 8, 10)

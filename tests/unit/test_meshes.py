@@ -285,7 +285,7 @@ def test_a_closed_surface_inside_out_is_refused_and_so_are_normals_that_look_inw
 def test_an_inconsistent_winding_is_found_through_a_gap_of_rounding():
     corners, uv = square()
     corners[1] = corners[1, ::-1] + 1e-6
-    with pytest.raises(InputError, match="1 edges whose two triangles look to opposite sides"):
+    with pytest.raises(InputError, match="1 edge whose two triangles look to opposite sides"):
         make_mesh(corners, uv)
     corners[1] += 1e-3  # two sheets, each of which may look where it likes
     make_mesh(corners, uv)

@@ -21,6 +21,7 @@ from irodori.light.mirror_ball import (
     ball_reflectance,
     inverse_reflectance,
     mean_reflectance,
+    outline_doubt,
     unwrapped,
 )
 from irodori.light.placed_lights import direction_of
@@ -257,14 +258,80 @@ def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
     for column, is_used in ((100 + 84, True), (100 + 86, False)):
         valid[90, column] = 0
         write_inputs(tmp_path, response, valid, calibration)
-        with pytest.raises(InputError, match="1 pixels saturated") if is_used else nullcontext():
+        with pytest.raises(InputError, match="1 pixel saturated") if is_used else nullcontext():
             prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
                                 source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
                                 prior=prior_of(calibration))  # fmt: skip
         valid[90, column] = 1
     valid[90, 100] = 0
     write_inputs(tmp_path, response, valid, calibration)
-    with pytest.raises(InputError, match="1 pixels saturated in every bracket"):
+    with pytest.raises(InputError, match="1 pixel saturated in every bracket"):
         prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
                             source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
                             prior=prior_of(calibration))  # fmt: skip
+
+
+# ---- the outline
+
+
+def in_a_room(source=BALL, size=(190, 205)):
+    """A ball that reflects 0.7 of a smooth light, and behind it that light."""
+    columns, rows = np.meshgrid(np.arange(size[1]), np.arange(size[0]))
+    behind = smooth(np.stack([-np.ones(size), (columns - size[1] / 2) / size[1], (size[0] / 2 - rows) / size[0]], -1))
+    seen = photograph(smooth, source, lambda c: np.full((*c.shape, 1), 0.7), size)
+    noise = np.random.default_rng(2).standard_normal(seen.shape)
+    return np.where(seen > 0.0, seen, behind) * (1.0 + 0.01 * noise)
+
+
+@pytest.mark.parametrize("step", [1, 5])
+def test_a_ball_is_compared_with_its_outline_in_the_photograph(step):
+    """In a photograph whose pixels are five times as fine the same is found."""
+
+    def ball(x=101.0, y=90.0, radius=60.0):
+        middle = 0.5 * (step - 1)
+        return {**BALL, "centre_px": [step * x + middle, step * y + middle], "radius_px": step * radius}
+
+    seen = in_a_room(ball(), (step * 190, step * 205))
+
+    def doubt(**typed):
+        return outline_doubt(made(MirrorBallSource, ball(**typed)), seen, "ball.h5")
+
+    assert doubt() is None and doubt(x=102.5, radius=59.0) is None
+    for wrong in ({"radius": 50.0}, {"radius": 70.0}, {"x": 110.0}, {"y": 78.0}):
+        with pytest.raises(InputError, match="centre_px and radius_px of the outline, in superpixels") as caught:
+            doubt(**wrong)
+        assert caught.value.field == "radius_px" and "which was typed as about" in str(caught.value)
+        x, y, radius = np.array([101.0, 90.0, 60.0]) * step + np.array([1.0, 1.0, 0.0]) * 0.5 * (step - 1)
+        found = [float(word.rstrip(",")) for word in str(caught.value).split() if word.rstrip(",").isdigit()]
+        assert found[:3] == pytest.approx([x, y, radius], abs=1.5 * step)
+
+
+def test_a_ball_without_an_outline_is_warned_of_and_edges_of_the_typed_circle_speak_for_it():
+    source = made(MirrorBallSource, BALL)
+    assert "no outline of a ball shows" in outline_doubt(source, np.ones((190, 205, 3)), "ball.h5")
+    seen = in_a_room({**BALL, "radius_px": 60.0})
+    rows, columns = np.indices(seen.shape[:2])
+    # A round plate around the ball is larger and shows more edges than the part of the ball that is left to see.
+    plate = np.hypot(columns - BALL["centre_px"][0], rows - BALL["centre_px"][1])
+    part = np.where(((plate > 60.0) & (plate < 85.0))[..., None], 0.2, seen)
+    part[rows > 110] = np.where((plate < 85.0)[..., None], 0.2, seen)[rows > 110]
+    typed = made(MirrorBallSource, {**BALL, "radius_px": 60.0})
+    assert "are centre_px and radius_px right?" in outline_doubt(typed, part, "ball.h5")
+
+
+def test_a_run_refuses_a_ball_that_is_elsewhere_and_warns_of_one_without_outline(tmp_path, caplog):
+    calibration = Calibration(np.eye(61)[:, [10, 30, 50]], LinearMapping(np.eye(3)), np.full(61, 2.0), ("out",))
+    size = made(Size, {"width": 16, "height": 8})
+
+    def run(response, **typed):
+        (tmp_path / "linear.h5").unlink(missing_ok=True)
+        write_inputs(tmp_path, response.astype(np.float32), np.ones(response.shape[:2], np.uint8), calibration)
+        source = made(MirrorBallSource, BALL | typed)
+        return _mirror_ball(tmp_path / "linear.h5", calibration, source, size, lambda _: as_it_is(np.eye(61)[:, :3]))
+
+    run(in_a_room())
+    assert not [line for line in caplog.messages if "outline" in line]
+    run(np.ones((190, 205, 3)))
+    assert [line for line in caplog.messages if "no outline of a ball shows" in line]
+    with pytest.raises(InputError, match=r"linear\.h5: radius_px: found edges like those of a ball about"):
+        run(in_a_room(), radius_px=65.0)

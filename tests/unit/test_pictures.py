@@ -254,7 +254,7 @@ def test_a_fault_of_the_renderer_is_said_before_anything_is_written(tmp_path, mo
     radiance[1, 2, 7] = np.nan
     monkeypatch.setattr("irodori.rendering.stage.render_prepared", lambda *_, **__: (radiance, {}))
     with pytest.raises(
-        InputError, match=r"v\.exr: found 1 pixels without a finite colour, the first in row 1, column 2"
+        InputError, match=r"v\.exr: found 1 pixel without a finite colour, the first in row 1, column 2"
     ):
         render_view(
             made(Scene, scene), "v", [made(ObjectShape, {"kind": "plate", "width_mm": 100.0, "height_mm": 100.0})],

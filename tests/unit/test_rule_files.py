@@ -76,6 +76,17 @@ def test_photographs_and_truth_do_not_depend_on_tables_for_calibration_and_recov
         assert table not in files and "config/lamps/room.csv" not in files
 
 
+def test_only_a_camera_s_own_photographs_depend_on_its_charts(definitions):
+    camera = definitions.cameras["d5100-comb"]
+    chart = dataclasses.replace(camera.chart, spectra="config/cameras/mine.csv")
+    edited = dataclasses.replace(camera, chart=chart, further_charts={"sg": camera.chart})
+    after = PhotographSets(dataclasses.replace(definitions, cameras={"d5100-comb": edited}))
+    before, own = PhotographSets(definitions), job(camera="d5100-comb")
+    assert before.camera(own) != after.camera(own) and chart.spectra in after.files_of_session(own)
+    for one in (job(object="tile-plate"), job(environment="classroom"), job(scene="still-life", photograph="front")):
+        assert before.camera(one) == after.camera(one) and before.files_of_session(one) == after.files_of_session(one)
+
+
 def test_descriptions_are_words_alone(definitions):
     plain = definitions.without_descriptions().plain()
     kinds = ("scenes", "objects", "environments", "cameras", "rigs")
@@ -97,7 +108,8 @@ def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
     }
     assert json.loads(json.dumps(asked)) == asked
     camera = definitions.cameras["d5100-comb"].plain()
-    assert {"calibration", "comb_filter"} <= camera.keys() - asked["camera"].keys()
+    unread = {"calibration", "comb_filter", "chart", "white", "exposure_s"}
+    assert unread <= camera.keys() - asked["camera"].keys()
     assert all(value == camera[key] for key, value in asked["camera"].items())
     assert asked["rig"] == definitions.rigs["virtual"].plain()
     scene = definitions.scenes["still-life"].plain()
@@ -122,7 +134,8 @@ def test_scripts_make_the_parts_of_what_the_snakefile_gives(sets, scenes):
         scenes.shapes(still_life)
     )
     assert models.ScenePhotograph.of(scenes.photograph(still_life)) == scene.photographs["front"]
-    assert models.Camera.of(sets.camera(still_life)).optics == sets.loaded.cameras[whole.camera].optics
+    own, taken = job(camera="d5100-comb"), parts.PhotographingCamera.of(sets.camera(still_life))
+    assert models.Camera.of(sets.camera(own)).optics == taken.optics == sets.loaded.cameras[whole.camera].optics
 
 
 def test_tiles_cover_the_texture(sets, definitions):

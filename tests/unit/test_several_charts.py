@@ -157,7 +157,7 @@ def test_the_report_says_both(session):
 def test_charts_of_other_filter_states_or_in_other_number_are_refused(session, tmp_path):
     _, camera, linear = session
     outputs = tmp_path / "c.h5", tmp_path / "c.csv"
-    with pytest.raises(ValueError, match="1 files of charts; accepted: 2"):
+    with pytest.raises(ValueError, match="1 file of charts; accepted: 2"):
         calibrate_camera(linear[:1], made(Camera | CalibratedCamera, camera), "A", *outputs, MADE)
     with store.open_file(linear[1]) as file, store.create(tmp_path / "out.h5", MADE) as out:
         for name in ("response", "valid"):

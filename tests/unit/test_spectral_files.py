@@ -207,7 +207,7 @@ def test_an_unknown_suffix_is_refused_with_the_accepted_ones(tmp_path, suffix):
         ("a.ti3", ti3([HALF]).replace("START_NM", "STARTS"), "SPECTRAL_BANDS", "only SPECTRAL_BANDS", "or none"),
         ("a.ti3", ti3([HALF]).replace('"380.0"', '"390.0"'), "SPECTRAL_START_NM", "380 nm where", "of the keywords"),
         ("a.ti3", ti3([HALF]).replace("100.000000", "0"), "SPECTRAL_NORM", "0", "above 0"),
-        ("a.ti3", ti3([HALF]).replace("SETS 1", "SETS 2"), "BEGIN_DATA", "1 samples where", "as many"),
+        ("a.ti3", ti3([HALF]).replace("SETS 1", "SETS 2"), "BEGIN_DATA", "1 sample where", "as many"),
         ("a.ti3", ti3([HALF]).replace("9.5 50.0", "9.5"), "line 15", "38 values", "39 values"),
         ("a.ti3", ti3([HALF]).replace("9.5 50.0", "9.5 -"), "line 15, 380 nm", "'-'", "finite"),
         ("a.csv", wide([HALF]).replace("A1,0.5", "A1,1_0.5"), "line 2, 380 nm", "'1_0.5'", "finite"),

@@ -301,6 +301,14 @@ def test_what_no_photograph_depends_on_takes_none_again(again):
     assert not [rule for rule in rules if rule.startswith(("capture", "ingest", "write_true", "write_truth"))]
 
 
+def test_a_camera_s_edited_chart_takes_no_other_photograph_again(again):
+    edit(again / "config/cameras/d5100-comb.yaml", {"chart.inset": 0.6})
+    rules = {rule for rule, _ in planned(snakemake(again, "--dry-run"))}
+    assert {"capture_camera", "calibrate_camera"} <= rules
+    others = {"capture_object", "capture_environment", "capture_photograph", "write_truth"}
+    assert not others & rules
+
+
 def test_a_patch_in_the_frame_takes_the_place_of_the_estimate(again):
     edit(
         again / "config/objects/leaf-sphere.yaml", {"level_patch": {"centre_mm": [0.0, -40.0, -30.0], "side_mm": 10.0}}

@@ -96,7 +96,7 @@ def test_a_check_measures_the_lens_and_names_photographs_without_the_sheet(proje
     for number in range(1, len(PLACES)):
         shutil.copy(project / "raw/plate.dng", project / f"raw/sheet{number:02}.dng")
     findings, optics = looked_at(project)
-    assert any(said.startswith("error") and "the sheet in 1 photographs" in said for said in findings) and not optics
+    assert any(said.startswith("error") and "the sheet in 1 photograph" in said for said in findings) and not optics
 
 
 @pytest.mark.heavy

@@ -161,6 +161,16 @@ def test_a_run_that_cannot_be_vouched_for_has_no_crate(project, capsys):
     picture.write_bytes(before + b"x")
     assert "front.png: found content that its rule did not write" in said()
     picture.write_bytes(before)
+    room = project / "config/environments/classroom.yaml"
+    for file, changed in (
+        (room, {"lamps": ["FL11"]}),
+        (project / "config/objects/tile-plate.yaml", {"mirror_weight": 0.4}),
+    ):
+        before = file.read_bytes()
+        edit(file, {"description": "Other words."} | changed)
+        found = f"found a result made before {next(iter(changed))} of config/{file.parent.name}/{file.name} changed"
+        assert found in said()
+        file.write_bytes(before)
     photograph = next((project / "results/tile-plate/captures").glob("*.dng"))
     before = photograph.read_bytes()
     photograph.write_bytes(before[:-1] + b"x")

@@ -1,5 +1,6 @@
 from irodori.capture.stage import Target, capture_environment
-from irodori.config.models import Camera, EnvironmentDefinition, Rig
+from irodori.config.models import EnvironmentDefinition, Rig
+from irodori.config.parts import PhotographingCamera
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
@@ -7,7 +8,7 @@ with run_rule(snakemake) as provenance:
         EnvironmentDefinition.of(snakemake.params.definition),
         Target(
             snakemake.wildcards.environment,
-            Camera.of(snakemake.params.camera),
+            PhotographingCamera.of(snakemake.params.camera),
             Rig.of(snakemake.params.rig),
             table=snakemake.params.table,
         ),

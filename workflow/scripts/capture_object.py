@@ -1,6 +1,6 @@
 from irodori.capture.stage import Target, capture_object
-from irodori.config.models import Camera, Rig
-from irodori.config.parts import PhotographedObject
+from irodori.config.models import Rig
+from irodori.config.parts import PhotographedObject, PhotographingCamera
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
@@ -8,7 +8,7 @@ with run_rule(snakemake) as provenance:
         PhotographedObject.of(snakemake.params.definition),
         Target(
             snakemake.wildcards.object,
-            Camera.of(snakemake.params.camera),
+            PhotographingCamera.of(snakemake.params.camera),
             Rig.of(snakemake.params.rig),
             snakemake.params.rig_name,
             snakemake.params.table,

@@ -1,5 +1,6 @@
 from irodori.capture.stage import Target, capture_photograph
-from irodori.config.models import Camera, Rig, ScenePhotograph
+from irodori.config.models import Rig, ScenePhotograph
+from irodori.config.parts import PhotographingCamera
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
@@ -8,7 +9,7 @@ with run_rule(snakemake) as provenance:
         snakemake.input.radiance,
         Target(
             f"{snakemake.wildcards.scene}-{snakemake.wildcards.photograph}",
-            Camera.of(snakemake.params.camera),
+            PhotographingCamera.of(snakemake.params.camera),
             Rig.of(snakemake.params.rig),
             table=snakemake.params.table,
         ),

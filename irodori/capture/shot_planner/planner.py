@@ -24,6 +24,7 @@ from irodori.config.capture_table import Pose
 from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.config.models import AxisLimit, Camera, Config, Object, PosePlan, Rig, RigLimits, SensorOptions
 from irodori.config.parts import PlannedObject
+from irodori.core.errors import counted
 from irodori.geometry.rig_frame import to_camera, to_light
 from irodori.geometry.shapes.shape import Shape
 from irodori.material.angle_errors import errors_in_use
@@ -394,12 +395,14 @@ class Planner:
         max_manual = self.max_manual if max_manual is None else max_manual
         parameters = self.range.parameters
         if count <= parameters:
-            raise ValueError(f"{count} poses; accepted: {parameters + 1} or more, for {parameters} parameters")
+            raise ValueError(
+                f"{counted(count, 'pose')}; accepted: {parameters + 1} or more, for {parameters} parameters"
+            )
         if max_manual < 1:
             raise ValueError(f"{max_manual} manual settings; accepted: 1 or more")
         if len(self.poses) < count:
             raise TooFewPoses(
-                f"{count} poses; accepted: at most the {len(self.poses)} in which the rig sees the object"
+                f"{counted(count, 'pose')}; accepted: at most the {len(self.poses)} in which the rig sees the object"
             )
         setting = np.unique([_hand(p) for p in self.poses], axis=0, return_inverse=True)[1].reshape(-1)
         criterion, patch, prior = "fit-variance", None, _PRIOR_RELATIVE_ERROR**-2

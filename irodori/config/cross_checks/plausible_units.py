@@ -6,7 +6,7 @@ from typing import Any
 
 from irodori.config.capture_table import Shot
 from irodori.config.models import MeshShape, Optics
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, counted
 
 _AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg", "light_azimuth_deg")
 #: Step in which people set and write angles, degrees, and rounding of the same angles in radians, with 3 decimals.
@@ -70,7 +70,7 @@ def check_in_frame(shape: Any, optics: Optics, distance_mm: float, file, rig_fil
         raise InputError(file, "shape", found, lengths)
     px_per_mm = optics.focal_length_mm * 1000.0 / optics.pixel_pitch_um / distance_mm
     if max(sides) * px_per_mm < _FEWEST_PX:
-        found = f"a {shape.kind} {size}, {max(sides) * px_per_mm:.2g} pixels in the picture"
+        found = f"a {shape.kind} {size}, {counted(max(sides) * px_per_mm, 'pixel', '.2g')} in the picture"
         raise InputError(file, "shape", found, f"{_FEWEST_PX} pixels or more: {lengths}")
     inside = 1.0
     for side, middle, count in zip(sides, optics.principal_point_px, (optics.width_px, optics.height_px), strict=True):
@@ -125,6 +125,10 @@ def check_mesh_in_frame(shape: MeshShape, reach_mm: float, focal_px: float, dist
     if reach_mm < distance_mm and seen_px >= _FEWEST_PX:
         return
     found = f"{shape.unit}, in which it is {2.0 * reach_mm:.3g} mm wide"
-    found += f" and {seen_px:.2g} pixels in the picture" if reach_mm < distance_mm else " and contains the camera"
+    found += (
+        f" and {counted(seen_px, 'pixel', '.2g')} in the picture"
+        if reach_mm < distance_mm
+        else " and contains the camera"
+    )
     accepted = f"the unit of its coordinates: at least {_FEWEST_PX} pixels, with the camera at {distance_mm:g} mm"
     raise InputError(shape.file, "shape.unit", found, accepted)

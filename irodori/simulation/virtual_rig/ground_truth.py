@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from irodori.config.models import Camera, EnvironmentDefinition, IrradianceMap, Object, Rig
-from irodori.config.parts import TrueObject
+from irodori.config.models import EnvironmentDefinition, IrradianceMap, Object, Rig
+from irodori.config.parts import AnyCamera, TrueObject
 from irodori.light.environment_file import Environment
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.material.material_file import Material
@@ -16,7 +16,7 @@ from irodori.simulation.virtual_rig.sensor import band_weights
 _GREEN = 1
 
 
-def true_material(definition: Object | TrueObject, camera: Camera, rig: Rig) -> Material:
+def true_material(definition: Object | TrueObject, camera: AnyCamera, rig: Rig) -> Material:
     """Return the true material of an object on the virtual rig.
 
     The basis holds the true spectra, and the coefficients of a texel are 1 for its own spectrum and 0 for the others. α

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from irodori.config.models import Camera, CombFilter, SensorOptions
+from irodori.config.models import CombFilter, SensorOptions
+from irodori.config.parts import AnyCamera
 from irodori.spectra.grid import SAMPLES, TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import camera_sensitivities
 
@@ -64,12 +65,12 @@ def comb_transmittance(definition: CombFilter) -> np.ndarray:
     return np.minimum(transmittance, 1.0)
 
 
-def band_weights(camera: Camera, light: np.ndarray) -> np.ndarray:
+def band_weights(camera: AnyCamera, light: np.ndarray) -> np.ndarray:
     """Return weights that turn a reflectance spectrum into band responses [eq. 1].
 
     Parameters
     ----------
-    camera : Camera
+    camera : Camera or PhotographingCamera
         Definition with the block ``virtual``.
     light : (61,) float
         Spectrum E(λ) of the rig's light.

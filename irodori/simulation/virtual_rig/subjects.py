@@ -23,6 +23,7 @@ from irodori.config.models import (
     Markers,
     Rig,
 )
+from irodori.config.parts import AnyCamera
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
@@ -61,7 +62,7 @@ def in_mosaic(bands: np.ndarray) -> np.ndarray:
 
 def object_mosaic(
     sample: Sample,
-    camera: Camera,
+    camera: AnyCamera,
     rig: Rig,
     pose: Pose,
     ideal_from_seen,
@@ -76,7 +77,8 @@ def object_mosaic(
     Parameters
     ----------
     sample : Sample
-    camera, rig : Camera, Rig
+    camera : Camera or PhotographingCamera
+    rig : Rig
     pose : Pose
         True pose of the rig.
     ideal_from_seen : (2, 3) float
@@ -227,7 +229,7 @@ def white_mosaic(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_wei
     return picture * _fall_off(camera, rig, pose, ideal_from_seen)
 
 
-def _fall_off(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen) -> np.ndarray | float:
+def _fall_off(camera: AnyCamera, rig: Rig, pose: Pose, ideal_from_seen) -> np.ndarray | float:
     """Return the irradiance of a flat subject in each mosaic pixel, relative to its centre; 1 under a far light."""
     lamp = Lamp.at(rig.light.distance_mm)
     if not lamp.is_near:
@@ -239,7 +241,7 @@ def _fall_off(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen) -> np.ndarr
     return lamp.on_white(point, pinhole, rig.camera_distance_mm, pose)
 
 
-def chart_mosaic(chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+def chart_mosaic(chart: Chart, camera: AnyCamera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
     """Return the mosaic of a colour chart on the table; other parameters as in `object_mosaic`."""
     bands = _patch_bands(chart, math.cos(flat_incidence_rad(pose)), band_weights)
     return _chart_picture(bands, chart, camera, rig, pose, ideal_from_seen) * _fall_off(
@@ -248,7 +250,7 @@ def chart_mosaic(chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_
 
 
 def room_chart_mosaic(
-    definition: EnvironmentDefinition, name: str, camera: Camera, rig: Rig, ideal_from_seen, band_weights
+    definition: EnvironmentDefinition, name: str, camera: AnyCamera, rig: Rig, ideal_from_seen, band_weights
 ) -> np.ndarray:
     """Return the mosaic of a colour chart in a virtual room, as large as the camera's own chart on the rig.
 
@@ -273,7 +275,7 @@ def _patch_bands(chart: Chart, light: np.ndarray | float, band_weights) -> np.nd
 
 
 def _chart_picture(
-    bands: np.ndarray, chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_seen
+    bands: np.ndarray, chart: Chart, camera: AnyCamera, rig: Rig, pose: Pose, ideal_from_seen
 ) -> np.ndarray:
     """Return the mosaic of a uniformly lit chart from the band responses of its patches and its border."""
     assert camera.optics is not None  # checked: a camera on a rig has optics
@@ -288,7 +290,7 @@ def _chart_picture(
     return image
 
 
-def _patch_at(mosaic_xy, chart: Chart, camera: Camera, rig: Rig, pose: Pose, pinhole: Pinhole) -> np.ndarray:
+def _patch_at(mosaic_xy, chart: Chart, camera: AnyCamera, rig: Rig, pose: Pose, pinhole: Pinhole) -> np.ndarray:
     """Return the index of the patch at each point of the picture; between patches, the number of patches."""
     rows, columns = chart.rows, chart.columns
     rotation = rig_from_object(pose)

@@ -10,7 +10,7 @@ import numpy as np
 from irodori.capture.rig.devices import CameraDevice, DeviceError
 from irodori.config.capture_table import FILTERS, Pose, Shot, chart_capture, room_chart_capture
 from irodori.config.models import Camera, Chart, EnvironmentDefinition, Object, Rig
-from irodori.config.parts import PhotographedObject, SceneRadiance
+from irodori.config.parts import AnyCamera, PhotographedObject, SceneRadiance
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 from irodori.simulation.virtual_rig.imperfections import Faults, lamp_light
@@ -33,7 +33,8 @@ class VirtualCamera(CameraDevice):
 
     Parameters
     ----------
-    camera, rig : Camera, Rig
+    camera : Camera or PhotographingCamera
+    rig : Rig
         Definitions.
     bench : Bench
         True state of the rig. The camera photographs this state, not the one that the shot asks for.
@@ -51,7 +52,7 @@ class VirtualCamera(CameraDevice):
 
     def __init__(
         self,
-        camera: Camera,
+        camera: AnyCamera,
         rig: Rig,
         bench: Bench,
         session: str,
@@ -85,7 +86,9 @@ class VirtualCamera(CameraDevice):
 
     @property
     def _charts(self) -> dict[str, Chart]:
-        """Definition of every chart, by the subject's name on the bench."""
+        """Definition of every chart, by the subject's name on the bench; none outside a camera's own session."""
+        if not isinstance(self.camera, Camera):
+            return {}
         further = {chart_capture(name): chart for name, chart in self.camera.further_charts.items()}
         return {"chart": self.camera.chart, **further}
 
@@ -133,7 +136,7 @@ class VirtualCamera(CameraDevice):
             return np.zeros((height, width)), self._hot_rate_e_per_s
         pose = self.faults.real_pose(shot, self.bench.pose())
         plate = self.faults.ideal_from_seen(shot, width, height)
-        if subject == "white":
+        if subject == "white" and isinstance(self.camera, Camera):
             response = white_mosaic(self.camera, self.rig, pose, plate, weights)
         elif subject in self._charts:
             response = chart_mosaic(self._charts[subject], self.camera, self.rig, pose, plate, weights)

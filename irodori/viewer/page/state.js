@@ -320,8 +320,9 @@ window.Irodori = window.Irodori || {};
     return numbers;
   }
 
-  // As in irodori/spectra/tables.py.
-  const MOST_STEP_NM = 20;
+  // As in irodori/spectra/tables.py, and the noise under 0 as a share of the peak as in irodori/spectra/spectral_files.py.
+  const MOST_STEP_NM = 20,
+    NOISE = 0.01;
 
   // A table of wavelength in nm and power, at 400, 405, ... 700 nm.
   I.powerOfTable = function (text, label) {
@@ -334,8 +335,8 @@ window.Irodori = window.Irodori || {};
     const steps = rows.slice(1).map(([nm], i) => nm - rows[i][0]),
       gap = steps.findIndex((step, i) => step > MOST_STEP_NM + 1e-9 && rows[i + 1][0] > 400 && rows[i][0] < 700);
     if (gap >= 0) throw new I.Refusal("bad_table_gap", { file: label, nm: rows[gap][0], step: MOST_STEP_NM });
-    if (rows.some((row) => row[1] < 0) || !rows.some((row) => row[1] > 0))
-      throw new I.Refusal("bad_table_power", { file: label });
+    const [least, peak] = [Math.min, Math.max].map((of) => rows.reduce((found, row) => of(found, row[1]), 0));
+    if (least < -NOISE * peak || !(peak > 0)) throw new I.Refusal("bad_table_power", { file: label });
     // Lines of lamps in a table finer than the samples would fall between them.
     const fine = rows.filter(([nm]) => nm >= 400 && nm <= 700).length > 61;
     const even = rows.length >= 6 && Math.max(...steps) - Math.min(...steps) <= 1e-3,
@@ -348,10 +349,11 @@ window.Irodori = window.Irodori || {};
       power = on((nm) => triangleMean(more, nm, 5));
     } else {
       power = on(even ? (nm) => sprague(rows, nm) : straight);
-      if (Math.min(...power) < 0) power = on(straight);
+      if (Math.min(...power) < least) power = on(straight);
     }
     const top = Math.max(...power);
     if (!(top > 0)) throw new I.Refusal("bad_table_power", { file: label });
-    return { power: power.map((one) => Number((one / top).toPrecision(5))), label: label.slice(0, 100) };
+    // The curve of a light can be drawn on from 0 up.
+    return { power: power.map((one) => Number((Math.max(one, 0) / top).toPrecision(5))), label: label.slice(0, 100) };
   };
 })(window.Irodori);

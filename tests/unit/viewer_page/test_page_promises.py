@@ -474,6 +474,29 @@ def test_tables_of_light_are_read_as_the_program_reads_them(visit, tmp_path):
         assert found == pytest.approx(list(wanted / wanted.max()), rel=5.1e-5, abs=1e-12), name
 
 
+@pytest.mark.parametrize(("under", "refused"), [(0.009, False), (0.0101, True)])
+@pytest.mark.parametrize("step", [1, 10])
+def test_power_under_0_is_noise_for_the_page_as_for_the_program(visit, tmp_path, under, refused, step):
+    """The page draws it as 0."""
+    text = "".join(
+        f"{nm},{-50 * under if nm < 450 else nm - 450 if nm < 500 else 50}\n" for nm in range(380, 741, step)
+    )
+    (tmp_path / "light.spd").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="a hundredth of the peak under 0") if refused else nullcontext():
+        wanted = light(str(tmp_path / "light.spd"))
+    said = visit().page.evaluate(
+        "(text) => { try { return Irodori.powerOfTable(text, 'x.csv').power; }"
+        " catch (error) { return Irodori.sentence(error); } }",
+        text,
+    )
+    if refused:
+        assert "x.csv has negative power" in said
+    else:
+        assert wanted.min() < 0.0 and said == pytest.approx(
+            list((wanted / wanted.max()).clip(0.0)), rel=5.1e-5, abs=1e-9
+        )
+
+
 def test_tables_of_light_that_can_be_read_in_two_ways_are_refused(visit):
     one = visit()
     head = "".join(f"{nm};{nm}\n" for nm in range(380, 741, 10))
