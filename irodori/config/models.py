@@ -120,9 +120,6 @@ class Fit(Definition):
     #: How the fit is computed; varpro is variable projection, nlopt calls NLopt's L-BFGS from a compiled loop.
     solver: Literal["varpro", "nlopt"] = "varpro"
 
-    #: Whether observations count by inverse variance, where the noise of the camera is known, or all the same.
-    weights: Literal["noise", "equal"] = "noise"
-
     #: Relative error of an observation apart from noise, such as the drift of the light (ratio).
     model_error: float = 0.01
 
