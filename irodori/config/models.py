@@ -2237,9 +2237,6 @@ class Motion(Definition):
     #: Speed of the line (bits a second), with 8 data bits, no parity and 1 stop bit.
     baud: int = 115200
 
-    #: Flow control of Grbl; wait for each answer, or fill its serial buffer of 128 bytes.
-    flow: Literal["send-response", "character-counting"] = "send-response"
-
     #: Time that an answer may take, in seconds; a board that starts when its port is opened needs 2.
     timeout_s: float = 3.0
 
