@@ -332,6 +332,14 @@ def test_the_planner_reckons_with_the_weights_that_the_fit_has():
         assert plans[0].expected[name][0] < plans[1].expected[name][0]
 
 
+@pytest.mark.parametrize("saturation", [1.5, 3.0])
+def test_a_plan_of_few_poses_leaves_no_material_of_a_plate_with_three_unclipped_photographs(saturation):
+    noise = ObservationNoise(saturation_response=saturation)
+    plan = Planner(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG), noise=noise).best(4, max_manual=4)
+    # By the information alone 73 and 88 % would be determined: three photographs promise more than none.
+    assert plan.determined_fraction == 1.0
+
+
 def test_what_counts_as_known_is_what_the_fit_states():
     assert KNOWN_RELATIVE_ERROR == judge.MAX_RELATIVE_ERROR
 

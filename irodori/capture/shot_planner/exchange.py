@@ -2,8 +2,8 @@
 
 A *design* is a set of poses. It is judged by the precision matrix P of (ln α, ln β, ln μ) of each case, prior included:
 minus the trace of P⁻¹, the sum of the relative variances, as a mean over the cases. P is the Fisher information, or,
-for surfaces whose texels are divided into patches, that where the texels of a patch share β and μ, as the places of one
-paint do.
+for texels in patches, that where the texels of a patch share β and μ, as the places of one paint do. In patches, only
+texels with enough photographs for a fit tell anything of β and μ; a patch may be a single texel.
 
 Fisher information grows by a matrix of rank one with each observation, so that a candidate is judged without a new
 inversion (the matrix determinant lemma; Sherman and Morrison).

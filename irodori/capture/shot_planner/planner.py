@@ -401,12 +401,13 @@ class Planner:
                 f"{count} poses; accepted: at most the {len(self.poses)} in which the rig sees the object"
             )
         setting = np.unique([_hand(p) for p in self.poses], axis=0, return_inverse=True)[1].reshape(-1)
-        patch = None if self.subject.shape.is_flat else patches(self.subject.position)
+        position, flat = self.subject.position, self.subject.shape.is_flat
+        patch = np.arange(len(position)) if flat else patches(position)
         chosen = choose(self.seen, _PRIOR_RELATIVE_ERROR**-2, setting, count, max_manual, patch)
         order = sorted(
             chosen, key=lambda i: (self.poses[i].placement, *_hand(self.poses[i]), self.poses[i].turn_deg, i)
         )
-        expected, fraction = expected_errors(self.seen.of(order), self.sample, patch)
+        expected, fraction = expected_errors(self.seen.of(order), self.sample, None if flat else patch)
         return Plan([self.poses[i] for i in order], expected, fraction)
 
     def _observe(self, poses: list[Pose]) -> Observations:
@@ -422,8 +423,9 @@ def plan_best(
 ) -> Plan:
     """Choose the poses that best determine α, β and μ over a range of materials.
 
-    Poses of flat shapes have the smallest variances of α, β and μ of each texel. Those of curved shapes have the
-    smallest variances with the gloss of paints: where it is known, one photograph tells a place's colour.
+    Poses of flat shapes have the smallest variances of α, β and μ of each texel, of which the fit needs four unclipped
+    photographs. Those of curved shapes have the smallest variances with the gloss of paints: where it is known, one
+    photograph tells a place's colour.
 
     Parameters
     ----------
