@@ -204,7 +204,7 @@ def fit_all(measured: Measured, keep_outliers: bool = False) -> dict[str, Fitted
     out = {}
     alpha = (kept * response) @ cosine / (kept @ cosine**2)
     out["lambert"] = Fitted(np.stack([alpha, 0 * alpha, 0 * alpha + 1.0], axis=1), alpha[:, None] * cosine)
-    options = FitOptions(weights="equal", bounds=_BOUNDS)
+    options = FitOptions(bounds=_BOUNDS)
     result = fit(response, geometry, kept.astype(float), N, K, options)
     parameters = np.column_stack([result.alpha, result.gloss])
     a, b, m = (parameters[:, i, None] for i in range(3))
@@ -297,7 +297,7 @@ def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
             )
             for half in (order[::2], order[1::2])
         ]  # fmt: skip
-        options = FitOptions(weights="equal", bounds=_BOUNDS)
+        options = FitOptions(bounds=_BOUNDS)
         chosen, found = choose(halves[0], options, candidates(options, coats=COATS))
         for one in found:
             own = replace(options, lobes=one.lobes, coat=one.coat)

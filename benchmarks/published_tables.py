@@ -12,8 +12,8 @@ import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from benchmarks.speed_page import DEFAULTS, front, is_measured, read_rows
 from irodori.core.errors import InputError
-from irodori.report.speed_page import DEFAULTS, front, is_measured, read_rows
 
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "docs" / "figures"

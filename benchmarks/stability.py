@@ -4,6 +4,7 @@
 """
 
 import argparse
+import csv
 import importlib.util
 import os
 import subprocess
@@ -11,13 +12,35 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from irodori.core.errors import PlainError
+from irodori.core.errors import InputError, PlainError
 from irodori.core.progress import LOGGER
-from irodori.report.stability_page import EXPECTED, read_outcomes
+from irodori.report.html_page import write_page
 
 _ROOT = Path(__file__).resolve().parents[1]
 #: Of pytest: all passed, some failed. A test that fails is an outcome; anything else leaves no table.
 _RAN = (0, 1)
+COLUMNS = ("part", "stage", "case", "expected", "tests", "passed", "failed", "skipped", "outcome")
+#: Outcomes of a case if all its tests passed, and if one failed; other texts give the reason why it was not tried.
+EXPECTED, UNEXPECTED = "as expected", "NOT as expected"
+
+
+def read_outcomes(path) -> list[dict]:
+    """Return the rows of a table of hard cases.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or has other columns.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8") as stream:
+            reader = csv.DictReader(stream)
+            found, rows = tuple(reader.fieldnames or ()), list(reader)
+    except FileNotFoundError:
+        raise InputError(path, "", "no such file", "the table that the tests marked stability write") from None
+    if found != COLUMNS:
+        raise InputError(path, "columns", ", ".join(found) or "nothing", ", ".join(COLUMNS))
+    return rows
 
 
 def try_hard_cases(table, threads: int, tests: Sequence[str] = ()) -> list[dict]:
@@ -26,7 +49,7 @@ def try_hard_cases(table, threads: int, tests: Sequence[str] = ()) -> list[dict]
     Parameters
     ----------
     table : path
-        CSV with the columns of `irodori.report.stability_page`.
+        CSV with the columns `COLUMNS`.
     threads : int
         Number of tests that run in parallel.
     tests : sequence of str
@@ -53,6 +76,11 @@ def try_hard_cases(table, threads: int, tests: Sequence[str] = ()) -> list[dict]
         if row["outcome"] != EXPECTED:
             LOGGER.warning("%s, %s: %s", row["stage"], row["case"], row["outcome"])
     return rows
+
+
+def write_stability_page(rows: list[dict], page_file) -> None:
+    """Write the page of hard cases, those that did not end as expected first."""
+    write_page(page_file, "stability.html.j2", rows=rows, expected=EXPECTED)
 
 
 def main() -> None:

@@ -11,8 +11,8 @@ import depth
 import pytest
 from hard_cases import HARD_CASES
 
+from benchmarks.stability import COLUMNS, EXPECTED, UNEXPECTED
 from irodori.core.atomic_files import written_whole
-from irodori.report.stability_page import COLUMNS, EXPECTED, UNEXPECTED
 
 MARK = "stability"
 

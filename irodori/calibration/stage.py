@@ -16,7 +16,7 @@ from irodori.calibration.filter_table import DEPARTURES, read_filter
 from irodori.calibration.gates import check_level, check_mean, check_patches, likelier_charts
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import Solution, solve
-from irodori.calibration.training import ResponseNoise, Training
+from irodori.calibration.training import Training
 from irodori.calibration.verdict import judge
 from irodori.colour.colorimetry import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
 from irodori.config.capture_table import FILTERS
@@ -42,7 +42,6 @@ def calibrate_camera(
     light_error_percent: float | None = None,
     lights=("D65", "A"),
     selection=None,
-    noise: ResponseNoise | None = None,
 ) -> None:
     """Calibrate a camera from its chart and write the calibration and its cross-validation errors.
 
@@ -63,8 +62,6 @@ def calibrate_camera(
     selection : path, optional
         CSV of the errors and cost of every estimator and number of bases; if absent, only the combinations that the
         configuration allows are computed. All its columns but the measured time are the same in every run.
-    noise : ResponseNoise, optional
-        Noise of patch means and of the responses to be recovered; by default estimated from the photographs.
 
     Raises
     ------
@@ -77,7 +74,7 @@ def calibrate_camera(
         charts.check_levels()
         spectra = charts.spectra
         settings = camera.calibration
-        known = charts.noise(settings.texel_photographs) if noise is None else noise
+        known = charts.noise(settings.texel_photographs)
         training = Training(charts.responses(), spectra, light(light_name), known, given=_given(camera, charts))
         limit = settings.max_leave_one_out_error
         with _refusing(charts):

@@ -1,9 +1,8 @@
 """Short tours through poses, and through blocks of poses between which a person has to set something.
 
-Small problems are solved exactly (dynamic programming over subsets, Held and Karp 1962), and a single axis is swept
-from end to end. For many points, the best of several boustrophedon orders is taken, or of a nearest-neighbour order
-improved by 2-opt and Or-opt (moves of up to three neighbours). Costs are tuples that compare from the left: settings
-changed by hand, travel in s, then *unrest*, a small cost of changes that are slow by hand.
+Of up to six points all orders are tried, and a single axis is swept from end to end. For more points, the best of
+several boustrophedon orders is taken, or of a nearest-neighbour order improved by 2-opt. Costs are tuples that compare
+from the left: settings changed by hand, travel in s, then *unrest*, a small cost of changes that are slow by hand.
 """
 
 import functools
@@ -19,10 +18,9 @@ Block = tuple[tuple, dict, list[Place]]
 #: Settings changed, travel in s, unrest.
 _Cost = tuple[float, float, float]
 
-#: Above the first number of points, none is moved singly; above the second, orders are not searched at all but swept.
-_MOVED_POINTS, _SEARCH_POINTS = 120, 400
+#: Above this number of points, sweeps begin at two corners only; above the second, orders are swept and not searched.
+_CORNER_POINTS, _SEARCH_POINTS = 120, 400
 _EXACT_POINTS, _FRONTIER = 6, 12
-_EXACT_WORK = 200_000
 
 
 def shortest_blocks(
@@ -113,7 +111,7 @@ def _exact_ways(places: list[Place], travel: _Travel) -> Iterator[list[Place]]:
 def _snakes(points: Collection[tuple], order: Sequence[int]) -> Iterator[list[tuple]]:
     """Yield boustrophedon orders of points, ``order[0]`` the slowest coordinate, from the corners."""
     corners: Iterable[tuple[bool, ...]] = itertools.product((False, True), repeat=len(order))
-    if len(points) > _MOVED_POINTS:
+    if len(points) > _CORNER_POINTS:
         corners = ((flip,) * len(order) for flip in (False, True))
     for flips in corners:
         yield _snake(list(points), list(zip(order, flips, strict=True)))[0]
@@ -132,7 +130,7 @@ def _snake(points: list[tuple], order: list[tuple[int, bool]]) -> tuple[list[tup
 
 
 def _bettered(points: Sequence, distance: Callable, entry: Callable) -> list:
-    """Return an open way through points: by nearest neighbours, then improved until no 2-opt or Or-opt step helps.
+    """Return an open way through points: by nearest neighbours, then improved until no 2-opt step helps.
 
     Parameters
     ----------
@@ -144,8 +142,7 @@ def _bettered(points: Sequence, distance: Callable, entry: Callable) -> list:
     way = [left.pop(min(range(len(left)), key=lambda i: entry(left[i])))]
     while left:
         way.append(left.pop(min(range(len(left)), key=lambda i: distance(way[-1], left[i]))))
-    few = len(way) <= _MOVED_POINTS
-    while _reversed_better(way, distance, entry) or (few and _moved_better(way, distance, entry)):
+    while _reversed_better(way, distance, entry):
         pass
     return way
 
@@ -164,28 +161,6 @@ def _reversed_better(way: list, distance: Callable, entry: Callable) -> bool:
     return found
 
 
-def _moved_better(way: list, distance: Callable, entry: Callable) -> bool:
-    """Move up to three neighbours if that shortens a way (Or-opt), in place; return whether one did."""
-
-    def gap(a, b) -> float:
-        """Return the distance between two neighbours; None stands for the start or the open end."""
-        return 0.0 if b is None else entry(b) if a is None else distance(a, b)
-
-    for size, i in itertools.product((1, 2, 3), range(len(way))):
-        part, rest = way[i : i + size], way[:i] + way[i + size :]
-        if len(part) < size or not rest:
-            continue
-        edge = [None, *rest, None]
-        gain = gap(edge[i], part[0]) + gap(part[-1], edge[i + 1]) - gap(edge[i], edge[i + 1])
-        for at, turned in itertools.product(range(len(rest) + 1), (False, True)):
-            first, last = (part[-1], part[0]) if turned else (part[0], part[-1])
-            loss = gap(edge[at], first) + gap(last, edge[at + 1]) - gap(edge[at], edge[at + 1])
-            if loss < gain - 1e-9:
-                way[:] = rest[:at] + (part[::-1] if turned else part) + rest[at:]
-                return True
-    return False
-
-
 # ---- the order of the blocks of one phase
 
 
@@ -196,10 +171,6 @@ def _phase(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Ite
         block, ways = phase[0]
         way = _bettered(block[2], travel, lambda a: travel(place, a))
         phase = [(block, [*ways, (way, travel.along(way))])]
-    ways = max(len(ways) for _, ways in phase)
-    if len(phase) ** 2 * 2 ** len(phase) * ways**2 <= _EXACT_WORK:
-        yield from _exact_order(phase, hand, place, travel)
-        return
     costs = [(_hand_cost_along([block for block, _ in order], hand), order) for order in _orders(phase, hand)]
     fewest = min(cost[0] for cost, _ in costs)
     seen: set[tuple[int, ...]] = set()
@@ -210,35 +181,11 @@ def _phase(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Ite
             yield from ((_sum(cost, more), chosen) for more, chosen in _choose_ways(order, place, travel))
 
 
-def _exact_order(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Iterator[tuple]:
-    """Yield the best order for each last block and way, by dynamic programming over subsets of blocks."""
-    count, ways = len(phase), max(len(ways) for _, ways in phase)
-    best: dict[tuple, tuple] = {}
-    for i, (block, ways_of_block) in enumerate(phase):
-        for k, (way, length) in enumerate(ways_of_block):
-            cost = _sum(_hand_cost(hand, block[1]), (0, travel(place, way[0]) + length, 0.0))
-            best[1 << i, i, k] = (cost, None)
-    for mask in range(1, 1 << count):
-        for i, k in [key[1:] for key in itertools.product([mask], range(count), range(ways)) if key in best]:
-            cost, stands, end = best[mask, i, k][0], phase[i][0][1], phase[i][1][k][0][-1]
-            for j in (j for j in range(count) if not mask >> j & 1):
-                by_hand = _hand_cost(stands, phase[j][0][1])
-                for m, (way, length) in enumerate(phase[j][1]):
-                    total = _sum(_sum(cost, by_hand), (0, travel(end, way[0]) + length, 0.0))
-                    key = (mask | 1 << j, j, m)
-                    if key not in best or _rounded(total) < _rounded(best[key][0]):
-                        best[key] = (total, (mask, i, k))
-    full = (1 << count) - 1
-    for key in [key for key in best if key[0] == full]:
-        order, step = [], key
-        while step is not None:
-            order.append((phase[step[1]][0], phase[step[1]][1][step[2]][0]))
-            step = best[step][1]
-        yield best[key][0], order[::-1]
-
-
 def _orders(phase: list[tuple], hand: dict) -> Iterator[list[tuple]]:
-    """Yield orders of blocks that are likely to need few changes by hand."""
+    """Yield all orders of few blocks; of many, those that are likely to need few changes by hand."""
+    if len(phase) <= _EXACT_POINTS:
+        yield from map(list, itertools.permutations(phase))
+        return
     names = sorted(phase[0][0][1])
     points = {tuple(block[1][name] for name in names): (block, ways) for block, ways in phase}
     varying = [i for i in range(len(names)) if len({point[i] for point in points}) > 1]

@@ -120,9 +120,6 @@ class Fit(Definition):
     #: How the fit is computed; varpro is variable projection, nlopt calls NLopt's L-BFGS from a compiled loop.
     solver: Literal["varpro", "nlopt"] = "varpro"
 
-    #: Whether observations count by inverse variance, where the noise of the camera is known, or all the same.
-    weights: Literal["noise", "equal"] = "noise"
-
     #: Relative error of an observation apart from noise, such as the drift of the light (ratio).
     model_error: float = 0.01
 
@@ -2239,9 +2236,6 @@ class Motion(Definition):
 
     #: Speed of the line (bits a second), with 8 data bits, no parity and 1 stop bit.
     baud: int = 115200
-
-    #: Flow control of Grbl; wait for each answer, or fill its serial buffer of 128 bytes.
-    flow: Literal["send-response", "character-counting"] = "send-response"
 
     #: Time that an answer may take, in seconds; a board that starts when its port is opened needs 2.
     timeout_s: float = 3.0

@@ -87,7 +87,7 @@ def _pack_chunk(problem, rules, blocks, sides, first, last):
             for i in range(3):
                 blocks[t, _F0 + i, j] = rows[F0 + i, j]
             w = rows[WEIGHT, j]
-            blocks[t, _W, j] = w if rules.weighted or not w > 0.0 else w / rows[VARIANCE, j]
+            blocks[t, _W, j] = w if rules.known or not w > 0.0 else w / rows[VARIANCE, j]
         for j in range(problem.response.shape[1] if sides else 0):
             angles = problem.geometry[t, j]
             apart = 2.0 * math.sin(angles[2]) * math.sin(angles[3])

@@ -242,7 +242,7 @@ def predicted(sample: Readings, gloss: np.ndarray, fitted: Readings, options: Fi
     cosine, shine = _terms(fitted, gloss, options.lobes)
     seen = fitted.weight > 0.0
     weight = np.where(seen, fitted.weight, 0.0)
-    if options.weights == "noise" and np.isfinite(fitted.noise).all():
+    if np.isfinite(fitted.noise).all():
         weight = weight / fitted.variance(fitted.response, options.model_error)
     power = (weight * cosine**2).sum(axis=1)
     rest = np.where(seen, weight * cosine * (fitted.response - shine), 0.0).sum(axis=1)

@@ -52,9 +52,7 @@ class Rules(NamedTuple):
     ----------
     low_alpha, high_alpha, low_beta, high_beta, low_log_mu, high_log_mu : float
     known : bool
-        Whether the camera's noise was measured.
-    weighted : bool
-        Whether observations are weighted by inverse variance; requires ``known``.
+        Whether the camera's noise was measured; if it was, observations are weighted by inverse variance.
     model_error : float
         Relative error of an observation apart from noise.
     incidence_variance, phi_variance : float
@@ -71,7 +69,6 @@ class Rules(NamedTuple):
     low_log_mu: float
     high_log_mu: float
     known: bool
-    weighted: bool
     model_error: float
     incidence_variance: float
     phi_variance: float
@@ -209,7 +206,7 @@ def expect_noise(rows, noise, rules, screened, zero):
         put(rows, ASSUMED, j, r)
         v = common + noise_at(noise, 0, j, zero) + noise_at(noise, 1, j, zero) * upper_of(r, 0.0) + relative * r * r
         put(rows, VARIANCE, j, v)
-        if rules.weighted:
+        if rules.known:
             w = w / v
             put(rows, WEIGHT, j, w)
         floor = floor + w * v

@@ -304,8 +304,7 @@ def problem_of(
     )  # fmt: skip
     rules = Rules(
         *options.limits("alpha"), *options.limits("beta"), float(nodes[-1]), float(nodes[0]), known,
-        known and options.weights == "noise", float(options.model_error), *options.angles.variances,
-        float(options.level_error),
+        float(options.model_error), *options.angles.variances, float(options.level_error),
     )  # fmt: skip
     return problem, rules
 

@@ -255,7 +255,7 @@ def _fit_strip(observed: Observed, fresnel: BandGloss, options: FitOptions) -> t
     """Return the maps of a fit of some texels, without ``texel`` and ``paint``, and the seconds that it took."""
     response, geometry, weight = observed.response, observed.geometry, observed.weight
     clipped, noise, n, k = observed.clipped, observed.noise, fresnel.n, fresnel.k
-    if options.weights == "noise" and not np.isfinite(noise[:, GREEN]).all():
+    if not np.isfinite(noise[:, GREEN]).all():
         LOGGER.info("the camera's noise is not known in every capture: observations have equal weights")
     green, of_green = response[..., GREEN], noise[:, GREEN]
     # Compile before the time is measured.

@@ -217,7 +217,7 @@ def _fit_texel(t, task, room, loaded, out):
 @njit(cache=True, forceinline=True)
 def is_noisy(evidence, rules):
     """Return whether weights from noisy responses would change α by more than a fifth of its standard error."""
-    return rules.weighted and evidence.used * evidence.used * evidence.floor > NOISY * evidence.fixed[2]
+    return rules.known and evidence.used * evidence.used * evidence.floor > NOISY * evidence.fixed[2]
 
 
 @uncounted()

@@ -156,7 +156,7 @@ def fit_eight(problem, shared, rules, first, last, eight):
     ordinary = ordinary & (distinct_geometries(rows, captures, spread(0.0)) >= float(ENOUGH))
     fixed, found, ordinary = _minimise(problem, shared, rules, rows, sums, ordinary)
     steps = found.evaluations
-    if rules.weighted:
+    if rules.known:
         noisy = ordinary & (used * used * floor > NOISY * fixed[2])
         if mask_bits(noisy) != 0:
             expect_fitted(rows, problem, rules, found, noisy)

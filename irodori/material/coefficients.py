@@ -112,7 +112,6 @@ def write_coefficients(
     codec: str = "gzip",
     dims: str = AXES,
     basis: str = "basis",
-    decoded: np.ndarray | None = None,
 ) -> None:
     """Write the coefficients of a picture's pixels; those of pixels without data are NaN.
 
@@ -131,8 +130,6 @@ def write_coefficients(
         Names of the axes; the last is ``component`` if the numbers are coefficients on a basis.
     basis : str
         Name of the dataset of that basis, (61, k), which the attribute ``decoding`` states.
-    decoded : (height, width, k) float32, optional
-        Filled with the coefficients after rounding to the stored precision.
     """
     coefficients = np.asarray(coefficients)
     scale = scale_of(coefficients) if storage == "half" else None
@@ -150,10 +147,7 @@ def write_coefficients(
     rows = max(1, _TILE_VALUES // max(int(np.prod(coefficients.shape[1:])), 1))
     for first in range(0, len(coefficients), rows):
         tile = coefficients[first : first + rows]
-        stored = tile if scale is None else to_half(tile, scale)
-        dataset[first : first + rows] = stored
-        if decoded is not None:
-            decoded[first : first + rows] = stored if scale is None else from_half(stored, scale)
+        dataset[first : first + rows] = tile if scale is None else to_half(tile, scale)
 
 
 def reserve_coefficients(

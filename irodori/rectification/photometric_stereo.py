@@ -95,7 +95,7 @@ class _Task(NamedTuple):
     weight: np.ndarray  # output, (T, J)
 
 
-def fit_facets(response, usable, light, *, gloss=None, misfit: float | None = None) -> Facets:
+def fit_facets(response, usable, light, *, misfit: float | None = None) -> Facets:
     """Fit the normal and the diffuse weight of every place.
 
     Parameters
@@ -106,12 +106,10 @@ def fit_facets(response, usable, light, *, gloss=None, misfit: float | None = No
         False for responses that are clipped or left out.
     light : (J, 3) float
         Directions to the lamps times their levels.
-    gloss : (T, J) float, optional
-        Part of the responses that is gloss.
     misfit : float, optional
         Typical difference of a response from the model, relative to the diffuse weight; found from the data if absent.
     """
-    matt = np.ascontiguousarray(response if gloss is None else response - gloss, dtype=np.float64)
+    matt = np.ascontiguousarray(response, dtype=np.float64)
     light = np.ascontiguousarray(light, dtype=np.float64)
     usable = np.ascontiguousarray(usable, dtype=np.bool_)
     triples, inverses = _triples(light)

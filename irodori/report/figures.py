@@ -67,7 +67,8 @@ def _subplots(rows: int, columns: int, size_in: tuple[float, float], margins: _M
     return figure, figure.subplots(rows, columns, gridspec_kw=places)
 
 
-def _finish(figure) -> str:
+def png_uri(figure) -> str:
+    """Return a figure as the data URI of a PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=90, metadata={"Software": None})
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
@@ -125,7 +126,7 @@ def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Mate
     for line, (text, colour) in enumerate(zip(shares, _STATUS_COLOURS, strict=True)):
         axes[9].text(0.0, 0.92 - 0.09 * line, "■", color=colour, fontsize=12, transform=axes[9].transAxes)
         axes[9].text(0.08, 0.92 - 0.09 * line, text, fontsize=9, family="monospace", transform=axes[9].transAxes)
-    return _finish(figure)
+    return png_uri(figure)
 
 
 def spectra_figure(material: Material, truth: Material) -> str:
@@ -142,7 +143,7 @@ def spectra_figure(material: Material, truth: Material) -> str:
     axes.set_xlabel("wavelength [nm]")
     axes.set_ylabel("reflectance factor")
     axes.set_title("true (solid) and recovered (dashed)", fontsize=9)
-    return _finish(figure)
+    return png_uri(figure)
 
 
 def selection_figure(header: list[str], rows: list[list[str]]) -> str:
@@ -174,7 +175,7 @@ def selection_figure(header: list[str], rows: list[list[str]]) -> str:
         ax.set(xscale="log", yscale="log", xlabel="time of a pixel, one thread [ns]")
         ax.set_title(f"{label}, patches left out; numbers of bases beside the points", fontsize=8)
     axes[0].legend(fontsize=7)
-    return _finish(figure)
+    return png_uri(figure)
 
 
 def comparison_figure(output, photograph, rendering, difference: np.ndarray, figures: dict) -> None:
@@ -201,32 +202,3 @@ def comparison_figure(output, photograph, rendering, difference: np.ndarray, fig
     axes[2].set_title(f"{text}\nnoise alone: mean {noise['mean']:.2f}, 95 % {noise['p95']:.2f}", fontsize=9)
     with written_whole(output) as temporary:
         figure.savefig(temporary, dpi=90, metadata={"Software": None})
-
-
-def front_figure(rows: list[dict], front: list[str], default: str | None, metric: str) -> str:
-    """Return a figure of throughput against error of variants; a line joins the Pareto front, a ring marks the default.
-
-    Parameters
-    ----------
-    rows : list of dict
-        Rows of a benchmark's table that have the same unit.
-    front : list of str
-        Variants on the front, fastest first.
-    default : str, optional
-    metric : str
-        Label of the error axis.
-    """
-    figure, axes = _subplots(1, 1, (7.5, 4.2), _OF_PLOTS)
-    places = {r["variant"]: (float(r["throughput"]), float(r["error"])) for r in rows}
-    for name, (speed, error) in places.items():
-        axes.plot(speed, error, "o", color="#2f6690" if name in front else "#b0b0b0", markersize=5)
-        axes.annotate(name, (speed, error), fontsize=7, textcoords="offset points", xytext=(4, 3))
-    best = [places[name] for name in front if name in places]
-    axes.plot([p[0] for p in best], [p[1] for p in best], "-", color="#2f6690", linewidth=0.8)
-    if default in places:
-        axes.plot(*places[default], "o", markersize=12, markerfacecolor="none", color="#c04040")
-    axes.set_xscale("log")
-    axes.set_yscale("symlog", linthresh=max(min((e for _, e in places.values() if e > 0.0), default=1.0), 1e-12))
-    axes.set_xlabel(f"throughput, {rows[0]['unit']}/s", fontsize=8)
-    axes.set_ylabel(metric, fontsize=8)
-    return _finish(figure)

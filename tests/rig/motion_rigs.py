@@ -53,14 +53,11 @@ _ASCII = {
 }
 
 
-def definition(
-    protocol: str, flow: str = "send-response", *, time_scale: float = 10.0, seed: int = 1, timeout_s: float = PATIENT_S
-) -> dict:
+def definition(protocol: str, *, time_scale: float = 10.0, seed: int = 1, timeout_s: float = PATIENT_S) -> dict:
     """Return the validated definition of a rig with a simulated controller."""
     motion = {
         "protocol": protocol,
         "port": "simulator",
-        "flow": flow,
         "timeout_s": timeout_s,
         "axes": copy.deepcopy(_AXES),
         "simulator": {"time_scale": time_scale, "seed": seed},

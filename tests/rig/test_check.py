@@ -15,7 +15,6 @@ from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
 from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import camera_shots, object_shots
-from irodori.capture.shot_planner.fisher_information import Weighting
 from irodori.capture.shot_planner.planner import as_fitted, default_noise, plan_best
 from irodori.check import angles
 from irodori.check.angles import of_object, told_share
@@ -127,7 +126,6 @@ def test_poses_that_the_planner_chooses_tell_gloss(project, monkeypatch):
     [
         ("rectify", {"max_angle_deg": 50.0}),
         ("fit", {"model_error": 0.2}),
-        ("fit", {"weights": "equal"}),
         ("sensor", {"full_well_e": 30.0}),
         ("exposure_s", {"out": [0.002]}),
     ],
@@ -151,7 +149,7 @@ def test_angles_are_judged_with_the_weights_noise_and_limit_of_the_fit(project, 
         fit, eye, table, subject = loaded.config.fit, made(Camera, camera), made(Rig, rig), made(Object, plate)
         fitted = {
             "noise": default_noise(table, eye.virtual.sensor, subject.exposure_s.out, fit),
-            "weighting": Weighting(fit.weights, fit.model_error),
+            "model_error": fit.model_error,
             "max_angle_deg": loaded.config.rectify.max_angle_deg,
         }
         loaded.rigs["table"], loaded.cameras["own"] = table, replace(eye, rig="table")

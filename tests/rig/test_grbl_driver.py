@@ -17,7 +17,6 @@ from irodori.capture.rig.devices import (
     Axis,
     CommandError,
     DeadlineError,
-    LimitError,
     LinkError,
     SettingError,
 )
@@ -315,21 +314,6 @@ def test_axes_slower_than_their_controller_move_at_their_own_speed():
         # Y goes 179.75 units at 400 units/s, X keeps step with it: along the line 205.7 units in the same time.
         feed = float(next(s for s in sent if b"Y" in s).split(b"F")[1])
         assert feed == pytest.approx((179.75**2 + 100.0**2) ** 0.5 / (179.75 / 400.0) * 60.0, rel=1e-4)
-
-
-@pytest.mark.parametrize("flow", ["send-response", "character-counting"])
-def test_a_long_path_runs_through_all_its_places(flow):
-    rig = definition("grbl", flow)
-    with start_simulator(made(Rig, rig)) as simulator, open_rig(made(Rig, at_port(rig, simulator.port))) as opened:
-        opened.simulator = simulator
-        opened.home()
-        simulator.forget()
-        opened.path([{"camera_deg": float(n % 2 * 60 + n)} for n in range(60)])
-        assert true_position_deg(opened)["camera_deg"] == pytest.approx(119.0, abs=0.005)
-        assert simulator.snapshot()["low"]["X"] == pytest.approx(-120.0, abs=0.01)
-        with pytest.raises(LimitError):
-            opened.path([{"camera_deg": 3.0}, {"camera_deg": 141.0}])
-        assert true_position_deg(opened)["camera_deg"] == pytest.approx(119.0, abs=0.005)
 
 
 def test_a_rig_without_switches_counts_from_where_it_was_switched_on():

@@ -199,24 +199,23 @@ _LINES = st.lists(
 
 
 @settings(deadline=None, max_examples=300)
-@given(_LINES, st.sampled_from(["send-response", "character-counting"]))
-def test_any_answers_end_a_question_with_an_answer_or_an_error(lines, flow):
+@given(_LINES)
+def test_any_answers_end_a_question_with_an_answer_or_an_error(lines):
     for question in (
         lambda talk: talk.ask_report(),
         lambda talk: talk.command("$$"),
-        lambda talk: talk.stream(["G0X1"] * 60),
         lambda talk: talk.soft_reset(),
     ):
-        talk = Conversation(FuzzLink(lines), 0.5, flow)
+        talk = Conversation(FuzzLink(lines), 0.5)
         try:
             question(talk)
         except DeviceError as error:
             assert str(error)
 
 
-def answers(*lines, flow="send-response", timeout_s=0.5) -> Conversation:
+def answers(*lines, timeout_s=0.5) -> Conversation:
     """Return a conversation with a controller that says some lines and then nothing."""
-    return Conversation(FuzzLink(lines), timeout_s, flow)
+    return Conversation(FuzzLink(lines), timeout_s)
 
 
 REPORT = "<Idle|MPos:0.000,0.000,0.000|FS:0,0>"
@@ -250,7 +249,7 @@ def test_a_report_that_is_lost_is_asked_for_again_and_the_newest_counts(lost):
             return line
 
     late = "<Run|MPos:1.000,0.000,0.000|FS:0,0>"
-    talk = Conversation(Losing([*lost, late, REPORT]), 0.5, "send-response")
+    talk = Conversation(Losing([*lost, late, REPORT]), 0.5)
     assert talk.ask_report() == Report("Idle", machine=(0.0, 0.0, 0.0))
     assert talk.link.sent == [b"?"] * (1 + len(lost))
 
@@ -275,10 +274,9 @@ def test_what_is_said_before_the_ok_is_the_answer():
         ("nonsense", GarbledError, "'nonsense'"),
     ],
 )
-def test_an_answer_that_is_no_ok_names_the_oldest_line(line, kind, words):
-    talk = answers("ok", line, flow="character-counting")
+def test_an_answer_that_is_no_ok_names_the_line(line, kind, words):
     with pytest.raises(kind, match=words):
-        talk.stream(["G0X0", "G1X1", "G2X2"])
+        answers(line).command("G1X1")
 
 
 def test_a_controller_that_talks_and_never_answers_is_left_in_time(monkeypatch):
@@ -300,7 +298,7 @@ def test_a_controller_that_talks_and_never_answers_is_left_in_time(monkeypatch):
     ):
         begun = now_s[0]
         with pytest.raises(DeadlineError, match=words):
-            question(Conversation(Talking(lines), 0.1, "send-response"))
+            question(Conversation(Talking(lines), 0.1))
         assert now_s[0] - begun < 0.15
 
 
@@ -310,14 +308,6 @@ def test_the_longest_line_that_the_controller_takes_is_sent_and_no_longer_one():
     assert talk.link.sent == [b"X" * 79 + b"\n"]
     with pytest.raises(CommandError, match="longer than the 79 bytes"):
         talk.command("X" * 80)
-
-
-def test_someone_is_told_after_each_answer():
-    for flow in ("send-response", "character-counting"):
-        told = []
-        talk = answers(*["ok"] * 40, flow=flow)
-        talk.stream(["G0X1"] * 40, idle=lambda seen=told, link=talk.link: seen.append(len(link.lines)))
-        assert told == list(range(39, -1, -1))
 
 
 def test_a_reset_waits_for_the_banner_and_forgets_what_came_before():
@@ -341,49 +331,6 @@ def test_a_start_that_was_noticed_before_is_not_forgotten_by_waiting():
     talk = answers("Grbl 1.1h ['$' for help]")
     talk.settle()
     assert not talk.restarted
-
-
-def test_a_flow_control_that_does_not_exist_lists_those_that_do():
-    with pytest.raises(ValueError, match="accepted: send-response, character-counting"):
-        Conversation(FuzzLink([]), 1.0, "xon-xoff")
-
-
-@given(st.lists(st.integers(1, 60), min_size=1, max_size=40))
-def test_counted_characters_never_exceed_the_buffer_and_keep_it_full(lengths):
-    lines = ["X" * length for length in lengths]
-    inside: list[int] = []
-
-    class Counting(FuzzLink):
-        def write(self, data):
-            inside.append(len(data))
-            assert sum(inside) <= 128
-            self.sent.append(data)
-
-        def read_line(self, timeout_s):
-            # Waiting means that the next line does not fit, or that there is none.
-            left = lines[len(self.sent) :]
-            assert not left or sum(inside) + len(left[0]) + 1 > 128
-            inside.pop(0)
-            return "ok"
-
-    link = Counting([])
-    Conversation(link, 1.0, "character-counting").stream(lines)
-    assert b"".join(link.sent) == "".join(f"{line}\n" for line in lines).encode()
-
-
-def test_send_response_waits_for_each_answer():
-    waiting = []
-
-    class OneAtATime(FuzzLink):
-        def write(self, data):
-            assert not waiting
-            waiting.append(data)
-
-        def read_line(self, timeout_s):
-            waiting.pop()
-            return "ok"
-
-    Conversation(OneAtATime([]), 1.0, "send-response").stream(["G0X1", "G0X2", "G0X3"])
 
 
 # ---- what is sent

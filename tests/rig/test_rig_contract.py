@@ -23,18 +23,14 @@ from irodori.capture.rig.devices import (
 )
 from irodori.config.models import Rig
 
-PEERS = {
-    "grbl-send-response": ("grbl", "send-response"),
-    "grbl-character-counting": ("grbl", "character-counting"),
-    "ascii": ("ascii", "send-response"),
-}
+PEERS = ("grbl", "ascii")
 STATES = {"idle", "run", "hold", "home", "jog", "door", "check", "sleep", "alarm"}
 
 
 @pytest.fixture(scope="module", params=PEERS)
 def peer(request):
     """Return (definition at the simulator's port, simulator)."""
-    rig = definition(*PEERS[request.param])
+    rig = definition(request.param)
     with start_simulator(made(Rig, rig)) as simulator:
         yield at_port(rig, simulator.port), simulator
 

@@ -18,11 +18,7 @@ from irodori.capture.rig.drives import drives_of
 from irodori.capture.rig.grbl.settings_check import homing_s
 from irodori.config.models import Rig
 
-PEERS = {
-    "grbl": ("grbl", "send-response"),
-    "grbl-counting": ("grbl", "character-counting"),
-    "ascii": ("ascii", "send-response"),
-}
+PEERS = ("grbl", "ascii")
 #: Fault: families of the error that it may end in; a command may also succeed.
 FAULTS = {
     # A digit less can make another position, on which no command must rely: off its way, or not where it was left.
@@ -78,7 +74,7 @@ def check_inside(rig: dict, seen: dict, homing: bool) -> None:
 
 @pytest.fixture(params=["grbl", "ascii"])
 def peer(request, monkeypatch) -> tuple[dict, FaultyBench]:
-    rig = definition(*PEERS[request.param], timeout_s=TIMEOUT_S)
+    rig = definition(request.param, timeout_s=TIMEOUT_S)
     return rig, FaultyBench(made(Rig, rig), monkeypatch)
 
 
@@ -168,7 +164,7 @@ RUNS, BATCHES = 204, 12
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_random_commands_with_random_faults(batch, monkeypatch, record_property):
     rng = random.Random(20100401 + batch)
-    rig = definition(*list(PEERS.values())[batch % len(PEERS)], seed=batch, timeout_s=TIMEOUT_S)
+    rig = definition(PEERS[batch % len(PEERS)], seed=batch, timeout_s=TIMEOUT_S)
     outcomes: collections.Counter = collections.Counter()
     worst = 0.0
     simulator = FaultyBench(made(Rig, rig), monkeypatch, batch)

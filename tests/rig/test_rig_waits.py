@@ -14,8 +14,6 @@ from irodori.capture.rig.devices import (
     RigDevice,
     SettingError,
 )
-from irodori.capture.rig.drives import drives_of
-from irodori.capture.rig.grbl.driver import GrblRig
 from irodori.capture.rig.grbl.protocol import FLUIDNC, GRBLHAL
 from irodori.capture.rig.grbl.settings_check import homing_s
 from irodori.simulation.controllers.grbl_machine import GrblMachine
@@ -141,21 +139,6 @@ def test_an_axis_that_is_stuck_is_given_up_a_quarter_later_than_foretold(pair):
     assert not bench.machine.moving and driver.status().state == "idle" and driver.status().homed
     driver.move({"camera_deg": 5.0})
     is_at(driver, 5.0, 0.0)
-
-
-def test_a_line_that_is_not_answered_is_given_up_after_its_own_move(monkeypatch):
-    """A line waits for room in the planner: its answer may take the longest of the moves, and no longer."""
-    rig = rig_of("grbl")
-    bench = bench_of(rig, monkeypatch)
-    driver = opened(rig, bench)
-    driver.home()
-    driver.move({"camera_deg": 0.0})
-    there = {"camera_deg": 100.0}
-    longest = driver.travel_s(driver.position(), there)
-    bench.heard = lambda line: None if line == "ok" else line
-    limit = 1.25 * longest + TIMEOUT_S
-    took = spent(bench, lambda: driver.path([there, {"camera_deg": 90.0}]), DeadlineError)
-    assert limit <= took < limit + 1.5
 
 
 def test_an_axis_that_crawls_within_the_margin_arrives(pair):
@@ -659,33 +642,6 @@ def test_homing_during_which_the_door_was_opened_is_not_done(board):
         driver.home()
     bench.heard = lambda line: line
     assert not driver.status().homed
-
-
-@pytest.mark.parametrize(
-    ("sizes", "room"), [("15,60", 60), ("15,999", 128), ("15,0", 128), ("15,1k", 128), ("15", 128), ("", 128)]
-)
-def test_no_more_is_sent_ahead_than_the_board_says_it_holds(sizes, room, monkeypatch):
-    rig = rig_of("grbl")
-    bench = bench_of(rig, monkeypatch)
-    waiting, most = [], [0]
-
-    def on_the_way(data):
-        if data.endswith(b"\n"):
-            waiting.append(len(data))
-            most[0] = max(most[0], sum(waiting))
-        return data
-
-    def heard(line):
-        if line == "ok":
-            del waiting[:1]
-        return line.replace(line.partition(",")[2], f"{sizes}]") if line.startswith("[OPT:") else line
-
-    bench.on_the_way, bench.heard = on_the_way, heard
-    driver = GrblRig(bench, drives_of(rig), timeout_s=TIMEOUT_S, flow="character-counting")
-    driver.home()
-    driver.path([{"camera_deg": 10.0 + number % 2} for number in range(30)])
-    # As much as fits, but for a part of one more line.
-    assert room - 36 < most[0] <= room
 
 
 def test_a_jog_goes_by_its_angle_and_stops_where_it_is_told(board):

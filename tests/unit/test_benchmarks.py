@@ -10,8 +10,8 @@ from scipy.optimize import nnls
 
 from benchmarks import compress, reference, table
 from benchmarks.fit import K, N, angles, brute_force, scene
+from benchmarks.speed_page import front, is_measured, read_rows, write_speed_report
 from benchmarks.table import COLUMNS, printed_by, row_without_figures, why_it_fails
-from irodori.report.speed_page import front, is_measured, read_rows, write_speed_report
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.3])

@@ -105,7 +105,7 @@ def test_left_out_directions_of_sintered_ptfe_are_predicted_better_under_a_coupl
     response = measured.response[:, order]
     angles = np.broadcast_to(measured.geometry[order], (len(response), len(order), 4))
     sample = Readings(response, np.ones(response.shape), angles, np.full((len(order), 2), np.nan), N, K)
-    options = FitOptions(weights="equal")
+    options = FitOptions()
     chosen, _ = choose(sample, options, candidates(options, ("ggx",), COATS))
     assert chosen.coat == COUPLED
 

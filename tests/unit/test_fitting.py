@@ -345,17 +345,10 @@ def test_order_of_observations_does_not_matter():
     assert np.allclose(squares[0][ok], squares[1][ok], rtol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("option", "accepted"),
-    [
-        ({"solver": "levmar"}, ["varpro", "nlopt", "nlopt-reference"]),
-        ({"weights": "inverse"}, ["noise", "equal"]),
-    ],
-)
-def test_an_unknown_choice_lists_the_valid_ones(option, accepted):
+def test_an_unknown_choice_lists_the_valid_ones():
     with pytest.raises(ValueError) as caught:
-        run(np.ones(len(GEOMETRY)), **option)
-    for name in (*option.values(), *accepted):
+        run(np.ones(len(GEOMETRY)), solver="levmar")
+    for name in ("levmar", "varpro", "nlopt", "nlopt-reference"):
         assert name in str(caught.value)
 
 

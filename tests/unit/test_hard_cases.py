@@ -9,9 +9,8 @@ import pytest
 from hard_cases import HARD_CASES
 from stability_table import MARK, Outcomes, write_table
 
-from benchmarks.stability import try_hard_cases
+from benchmarks.stability import read_outcomes, try_hard_cases, write_stability_page
 from irodori.core.errors import InputError, PlainError
-from irodori.report.stability_page import read_outcomes, write_stability_page
 
 TESTS = Path(__file__).resolve().parents[1]
 
@@ -69,7 +68,7 @@ def test_the_page_shows_every_case_and_first_those_that_went_wrong(tmp_path):
     for case in HARD_CASES:
         outcomes.note(report(case, "failed" if case is HARD_CASES[7] else "passed"))
     write_table(tmp_path / "s.csv", outcomes.rows())
-    write_stability_page(tmp_path / "s.csv", tmp_path / "page.html")
+    write_stability_page(read_outcomes(tmp_path / "s.csv"), tmp_path / "page.html")
     page = html.unescape((tmp_path / "page.html").read_text())
     assert f"{len(HARD_CASES) - 1} of {len(HARD_CASES)} end as expected" in page
     assert all(case.case in page and case.expected in page for case in HARD_CASES)

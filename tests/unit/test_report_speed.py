@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks import table
+from benchmarks.speed_page import COLUMNS, front, read_rows, write_speed_report
 from irodori.core.errors import InputError
-from irodori.report.speed_page import COLUMNS, front, read_rows, write_speed_report
 
 
 def _row(variant, throughput, error, unit="pixels", stage="fit"):

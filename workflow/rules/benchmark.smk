@@ -60,7 +60,7 @@ rule write_speed_report:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         size=lookup(within=config, dpath="benchmark_size"),
-        code=code_hash("irodori.report.speed_page"),
+        code=code_hash("benchmarks.speed_page"),
     script:
         "../scripts/write_speed_report.py"
 
@@ -92,9 +92,7 @@ rule check_stability:
         mem_mb=lambda wildcards, attempt: 6000 * attempt,
     params:
         user_files=ledger.content(tests_of_stability),
-        code=lambda wildcards: code_hash(
-            "benchmarks.stability", "irodori.report.stability_page", *modules_of("irodori")
-        ),
+        code=lambda wildcards: code_hash("benchmarks.stability", *modules_of("irodori")),
     script:
         "../scripts/check_stability.py"
 

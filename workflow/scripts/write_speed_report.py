@@ -1,5 +1,5 @@
+from benchmarks.speed_page import write_speed_report
 from irodori.core.run_rule import run_rule
-from irodori.report.speed_page import write_speed_report
 
 with run_rule(snakemake):
     write_speed_report(

@@ -137,8 +137,7 @@ def true_position_deg(rig: RigDevice) -> dict[str, float]:
 
 
 def _open_grbl(link: Link, drives: Mapping[str, Drive], motion: Motion, checked: bool, homings: Homings) -> RigDevice:
-    flow, homing = motion.flow, motion.homing
-    return GrblRig(link, drives, timeout_s=motion.timeout_s, flow=flow, homing=homing, checked=checked, homings=homings)
+    return GrblRig(link, drives, timeout_s=motion.timeout_s, homing=motion.homing, checked=checked, homings=homings)
 
 
 def _open_ascii(link: Link, drives: Mapping[str, Drive], motion: Motion, checked: bool, homings: Homings) -> RigDevice:

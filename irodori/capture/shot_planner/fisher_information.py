@@ -83,33 +83,8 @@ class ObservationNoise:
         )
 
 
-@dataclass(frozen=True)
-class Weighting:
-    """Weights of the fit: inverse expected variances, or all equal.
-
-    Parameters
-    ----------
-    weights : str
-        ``noise``: 1 / (c0 + c1 ρ + (model error · ρ)²); ``equal``. As ``fit.weights``.
-    model_error : float
-        As ``fit.model_error``, ratio.
-
-    Raises
-    ------
-    ValueError
-        For other weights.
-    """
-
-    weights: str = "noise"
-    model_error: float = 0.01
-
-    def __post_init__(self) -> None:
-        if self.weights not in ("noise", "equal"):
-            raise ValueError(f"weights {self.weights!r}; accepted: noise, equal")
-
-
-#: Default of the fit.
-WEIGHTING = Weighting()
+#: Relative error of the model of which the fit takes account in its weights by default, `fit.model_error`.
+MODEL_ERROR = 0.01
 
 
 @dataclass(frozen=True)
@@ -235,7 +210,7 @@ def observe(
     materials: Materials,
     noise: ObservationNoise,
     max_angle_deg: float = 80.0,
-    weighting: Weighting = WEIGHTING,
+    model_error: float = MODEL_ERROR,
 ) -> Observations:
     """Return the expected observations of each texel with each material in each pose.
 
@@ -247,8 +222,8 @@ def observe(
     noise : ObservationNoise
     max_angle_deg : float
         Observations with θ_i or θ_r beyond this angle have no weight in the fit and are not used here, degrees.
-    weighting : Weighting
-        Weights of the observations in the fit.
+    model_error : float
+        As ``fit.model_error``, ratio: weights of the fit are 1 / (c0 + c1 ρ + (model error · ρ)²).
 
     Returns
     -------
@@ -274,9 +249,7 @@ def observe(
     cases = geometry.shape[1] * len(parameters)
     shape = (len(poses), cases)
     out = Observations(np.zeros((*shape, PARAMETERS)), np.full(shape, np.inf), np.zeros(shape), np.zeros(shape))
-    # With equal weights the fit assumes a variance of 1 for all observations.
-    expected = weighting.model_error if weighting.weights == "noise" else -1.0
-    spread = _Spread(noise.read_variance, noise.shot_variance, noise.relative, noise.saturation_response, expected)
+    spread = _Spread(noise.read_variance, noise.shot_variance, noise.relative, noise.saturation_response, model_error)
     for name, chosen in materials.of_lobes():
         _fill(Lobes.of(name), _Seen(geometry, reflectance, seen), _Group(parameters, chosen), spread, out)
     return out
@@ -315,7 +288,7 @@ class _Spread(NamedTuple):
     shot: float
     relative: float
     saturation: float
-    expected: float  # relative error of the model, below 0 where all weights are equal
+    expected: float  # relative error of the model
 
 
 @njit(cache=True)
@@ -344,7 +317,7 @@ def _fill_pose(lobes, seen, group, spread, filled, p):
             jacobian[case, 2] = beta * at[1, 0] * slope
             variance[case] = read + shot * total + (relative * total) ** 2 + shift
             response[case] = total
-            weight[case] = 1.0 / (read + shot * total + (expected * total) ** 2) if expected >= 0.0 else 1.0
+            weight[case] = 1.0 / (read + shot * total + (expected * total) ** 2)
 
 
 @njit(cache=True, parallel=True, nogil=True)

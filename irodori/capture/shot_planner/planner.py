@@ -10,12 +10,11 @@ import numpy as np
 
 from irodori.capture.shot_planner.exchange import TooFewPoses, choose
 from irodori.capture.shot_planner.fisher_information import (
-    WEIGHTING,
+    MODEL_ERROR,
     Materials,
     ObservationNoise,
     Observations,
     RigSubject,
-    Weighting,
     observe,
     shared_errors,
     standard_errors,
@@ -313,9 +312,9 @@ def default_noise(
 
 
 def as_fitted(config: Config, rig: Rig, definition: Object | None = None, camera: Camera | None = None) -> dict:
-    """Return noise, weights and largest angle of observations as the fit of a configuration has them.
+    """Return noise, model error and largest angle of observations as the fit of a configuration has them.
 
-    They are the parameters ``noise``, ``weighting`` and ``max_angle_deg`` of `Planner` and of
+    They are the parameters ``noise``, ``model_error`` and ``max_angle_deg`` of `Planner` and of
     `irodori.capture.shot_planner.fisher_information.observe`.
 
     Parameters
@@ -331,7 +330,7 @@ def as_fitted(config: Config, rig: Rig, definition: Object | None = None, camera
     exposures_s = definition.exposure_s.out if sensor and definition and definition.exposure_s else ()
     return {
         "noise": default_noise(rig, sensor, exposures_s, fit),
-        "weighting": Weighting(fit.weights, fit.model_error),
+        "model_error": fit.model_error,
         "max_angle_deg": config.rectify.max_angle_deg,
     }
 
@@ -351,8 +350,8 @@ class Planner:
         ``rectify.max_angle_deg``: observations beyond this angle are not used, degrees.
     coarse_deg : dict, optional
         See `candidate_poses`; the time is proportional to the number of candidates.
-    weighting : Weighting
-        Weights of the observations in the fit.
+    model_error : float
+        As ``fit.model_error``, ratio.
 
     Attributes
     ----------
@@ -369,7 +368,7 @@ class Planner:
         noise: ObservationNoise | None = None,
         max_angle_deg: float = 80.0,
         coarse_deg: Mapping[str, float] | None = None,
-        weighting: Weighting = WEIGHTING,
+        model_error: float = MODEL_ERROR,
     ) -> None:
         self.subject = subject_of(definition, rig)
         self.max_manual = definition.plan.max_manual
@@ -385,7 +384,7 @@ class Planner:
         self.range = materials or MaterialRange.from_definition(definition)
         self.sample = self.range.spread(_FLAT_MATERIALS if flat else _SPHERE_MATERIALS)
         self.noise = noise or default_noise(rig)
-        self.max_angle_deg, self.weighting = max_angle_deg, weighting
+        self.max_angle_deg, self.model_error = max_angle_deg, model_error
         seen = self._observe(poses)
         useful = np.flatnonzero(np.isfinite(seen.variance).any(axis=1))
         self.poses, self.seen = [poses[i] for i in useful], seen.of(useful)
@@ -405,18 +404,17 @@ class Planner:
                 f"{counted(count, 'pose')}; accepted: at most the {len(self.poses)} in which the rig sees the object"
             )
         setting = np.unique([_hand(p) for p in self.poses], axis=0, return_inverse=True)[1].reshape(-1)
-        criterion, patch, prior = "fit-variance", None, _PRIOR_RELATIVE_ERROR**-2
-        if not self.subject.shape.is_flat:
-            criterion, patch = "paint-variance", patches(self.subject.position)
-        chosen = choose(self.seen, prior, setting, count, max_manual, criterion, patch=patch)
+        position, flat = self.subject.position, self.subject.shape.is_flat
+        patch = np.arange(len(position)) if flat else patches(position)
+        chosen = choose(self.seen, _PRIOR_RELATIVE_ERROR**-2, setting, count, max_manual, patch)
         order = sorted(
             chosen, key=lambda i: (self.poses[i].placement, *_hand(self.poses[i]), self.poses[i].turn_deg, i)
         )
-        expected, fraction = expected_errors(self.seen.of(order), self.sample, patch)
+        expected, fraction = expected_errors(self.seen.of(order), self.sample, None if flat else patch)
         return Plan([self.poses[i] for i in order], expected, fraction)
 
     def _observe(self, poses: list[Pose]) -> Observations:
-        return observe(self.subject, poses, self.sample, self.noise, self.max_angle_deg, self.weighting)
+        return observe(self.subject, poses, self.sample, self.noise, self.max_angle_deg, self.model_error)
 
 
 def plan_best(
@@ -428,9 +426,9 @@ def plan_best(
 ) -> Plan:
     """Choose the poses that best determine α, β and μ over a range of materials.
 
-    Poses of flat shapes have the smallest variances that the fit reaches, because they include pose errors, which the
-    weights of the fit leave out, and saturated observations. Those of curved shapes have the smallest variances with
-    the gloss of paints: where it is known, one photograph tells a place's colour.
+    Poses of flat shapes have the smallest variances of α, β and μ of each texel, of which the fit needs four unclipped
+    photographs. Those of curved shapes have the smallest variances with the gloss of paints: where it is known, one
+    photograph tells a place's colour.
 
     Parameters
     ----------
@@ -442,7 +440,7 @@ def plan_best(
     max_manual : int, optional
         Largest number of different settings of light and tilt by hand; by default ``plan.max_manual``.
     **others
-        Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``coarse_deg``, ``weighting``.
+        Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``coarse_deg``, ``model_error``.
 
     Returns
     -------

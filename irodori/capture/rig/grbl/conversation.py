@@ -1,7 +1,4 @@
-"""Request and response with a Grbl controller: matching of replies, flow control, unsolicited messages."""
-
-from collections import deque
-from collections.abc import Callable, Sequence
+"""Request and response with a Grbl controller: matching of replies, unsolicited messages."""
 
 from irodori.capture.rig.deadline import Deadline
 from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, GarbledError, Link
@@ -9,7 +6,6 @@ from irodori.capture.rig.grbl.codes import HARD_LIMIT, alarm_text, error_text
 from irodori.capture.rig.grbl.protocol import (
     GRBL,
     LINE_BYTES,
-    RX_BUFFER_BYTES,
     SOFT_RESET,
     STATUS,
     Alarm,
@@ -22,7 +18,6 @@ from irodori.capture.rig.grbl.protocol import (
     parse_line,
 )
 
-FLOWS = ("send-response", "character-counting")
 #: Silence after which no further message is expected, s.
 _QUIET_S = 0.05
 #: Most requests for one status report, and the time after which an unanswered request is repeated, s.
@@ -41,8 +36,6 @@ class Conversation:
     link : Link
     timeout_s : float
         Longest time for a reply, s.
-    flow : {"send-response", "character-counting"}
-        Whether a line waits for the answer to the one before, or only for room in the controller's serial buffer.
 
     Attributes
     ----------
@@ -56,21 +49,13 @@ class Conversation:
         Firmware according to the last banner.
     message : str
         Text of the controller's last ``[MSG:...]``.
-
-    Raises
-    ------
-    ValueError
-        For an unknown flow control.
     """
 
-    def __init__(self, link: Link, timeout_s: float, flow: str) -> None:
-        if flow not in FLOWS:
-            raise ValueError(f"no flow control {flow!r}; accepted: {', '.join(FLOWS)}")
-        self.link, self.timeout_s, self.flow = link, timeout_s, flow
+    def __init__(self, link: Link, timeout_s: float) -> None:
+        self.link, self.timeout_s = link, timeout_s
         self.alarm: int | None = None
         self.restarted, self.locked, self.message = False, False, ""
         self.firmware = GRBL
-        self.buffer_bytes = RX_BUFFER_BYTES
 
     def receive(self, deadline: Deadline) -> Message:
         """Return the next message, and record the state that it reports.
@@ -157,42 +142,31 @@ class Conversation:
                 return
 
     def command(self, line: str, timeout_s: float | None = None) -> list[Message]:
-        """Send a line and return the controller's messages before its ``ok``; see `stream`."""
-        return self.stream([line], timeout_s)
-
-    def stream(
-        self, lines: Sequence[str], timeout_s: float | None = None, idle: Callable[[], None] = lambda: None
-    ) -> list[Message]:
-        """Send lines under flow control, and return the controller's messages before the last ``ok``.
+        """Send a line and return the controller's messages before its ``ok``.
 
         Parameters
         ----------
-        lines : sequence of str
-            Lines without their ends.
+        line : str
+            Line without its end.
         timeout_s : float, optional
-            Longest time for one answer, s: lines that move wait for room in the planner.
-        idle : callable
-            Called after each answer.
+            Longest time for the answer, s.
 
         Raises
         ------
         CommandError
-            If a line is refused. Later lines may already be in the controller: stop it.
+            If the line is refused.
         AlarmError, DeadlineError, LinkError
         """
-        waiting: deque[str] = deque()
+        if len(line) + 1 > LINE_BYTES:
+            raise CommandError(f"{line!r}: longer than the {LINE_BYTES - 1} bytes that the controller takes")
+        self.link.write(line.encode("ascii") + b"\n")
+        deadline = Deadline(self.timeout_s if timeout_s is None else timeout_s)
         said: list[Message] = []
-        for line in lines:
-            if len(line) + 1 > LINE_BYTES:
-                raise CommandError(f"{line!r}: longer than the {LINE_BYTES - 1} bytes that the controller takes")
-            while waiting and not self._fits(waiting, line):
-                self._await_answer(waiting, said, timeout_s)
-                idle()
-            self.link.write(line.encode("ascii") + b"\n")
-            waiting.append(line)
-        while waiting:
-            self._await_answer(waiting, said, timeout_s)
-            idle()
+        while not isinstance(message := self.receive(deadline), Ok):
+            self._refuse(line, message)
+            said.append(message)
+            if deadline.passed:
+                raise DeadlineError(f"no answer to {line!r} within {deadline.seconds:.2g} s")
         return said
 
     def soft_reset(self) -> None:
@@ -293,23 +267,6 @@ class Conversation:
             return self.receive(deadline)
         except GarbledError:
             return None
-
-    def _fits(self, waiting: deque[str], line: str) -> bool:
-        if self.flow == "send-response":
-            return False
-        return sum(len(other) + 1 for other in (*waiting, line)) <= self.buffer_bytes
-
-    def _await_answer(self, waiting: deque[str], said: list[Message], timeout_s: float | None) -> None:
-        deadline = Deadline(self.timeout_s if timeout_s is None else timeout_s)
-        while True:
-            message = self.receive(deadline)
-            if isinstance(message, Ok):
-                waiting.popleft()
-                return
-            self._refuse(waiting[0], message)
-            said.append(message)
-            if deadline.passed:
-                raise DeadlineError(f"no answer to {waiting[0]!r} within {deadline.seconds:.2g} s")
 
     @staticmethod
     def _stopped(code: int) -> AlarmError:

@@ -5,7 +5,7 @@ import math
 import re
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 from irodori.capture.rig.controlled_rig import MARGIN, POLL_S, ControlledRig
 from irodori.capture.rig.deadline import Deadline
@@ -91,8 +91,6 @@ class GrblRig(ControlledRig):
         {angle of a pose: drive}.
     timeout_s : float
         Longest time for a reply, s. A board that restarts when its port is opened needs about 2 s.
-    flow : {"send-response", "character-counting"}
-        Flow control, see `irodori.capture.rig.grbl.conversation.Conversation`.
     homing : bool
         Whether the axes have limit switches. If not, positions count from that at power-on.
     checked : bool
@@ -111,14 +109,13 @@ class GrblRig(ControlledRig):
         drives: Mapping[str, Drive],
         *,
         timeout_s: float = 3.0,
-        flow: str = "send-response",
         homing: bool = True,
         checked: bool = True,
         homings: Homings | None = None,
     ) -> None:
         super().__init__(drives, timeout_s, homing)
         self.homings = homings or self.homings
-        self._talk, self._is_homing = Conversation(link, timeout_s, flow), False
+        self._talk, self._is_homing = Conversation(link, timeout_s), False
         self._options, self._mark_found, self._homes = "", 0, dict[str, float]()
         self._file_limits: dict[str, bool] = {}
         report = self._wake()
@@ -136,36 +133,16 @@ class GrblRig(ControlledRig):
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
         """Move axes in a straight line and wait until they are at rest there; see `RigDevice.move`."""
-        self.path([targets_deg])
-
-    def path(self, waypoints_deg: Sequence[Mapping[str, float]]) -> None:
-        """Move through several waypoints, sent ahead under flow control; see `RigDevice.move`.
-
-        Parameters
-        ----------
-        waypoints_deg : sequence of dict
-            {axis: angle, degrees} of each waypoint; axes that it does not name keep their position.
-        """
-        for targets in waypoints_deg:
-            self.check(targets)
-        if not any(waypoints_deg):
+        self.check(targets_deg)
+        if not targets_deg:
             return
         with self._stopping_on_failure():
             places = self._ready()
-            lines, seconds, longest, corners = [], 0.0, 0.0, [places]
-            for targets in filter(None, waypoints_deg):
-                after = {**places, **{name: self.drives[name].to_units(angle) for name, angle in targets.items()}}
-                line, travel = self._motion(places, after)
-                lines.append(line)
-                seconds, longest = seconds + travel, max(longest, travel)
-                corners.append(after)
-                places = after
+            after = {**places, **{name: self.drives[name].to_units(angle) for name, angle in targets_deg.items()}}
+            line, seconds = self._motion(places, after)
             arrival = Deadline(seconds * (1 + MARGIN) + self._timeout_s)
-            if len(lines) == 1:
-                arrival = self._send(lines[0], corners[0], arrival)
-            else:
-                self._talk.stream(lines, longest * (1 + MARGIN) + self._timeout_s, self._refuse_alarm)
-            self._await_arrival(corners, arrival)
+            arrival = self._send(line, places, arrival)
+            self._await_arrival([places, after], arrival)
 
     def jog(self, name: str, by_deg: float) -> None:
         """Move one axis by an angle, degrees, with a jog command, which a stop cancels completely."""
@@ -630,9 +607,7 @@ class GrblRig(ControlledRig):
             if isinstance(message, Feedback) and message.kind == "VER" and FLUIDNC in message.text:
                 self._firmware = FLUIDNC
             if isinstance(message, Feedback) and message.kind == "OPT":
-                self._options, *sizes = message.text.split(",")
-                if len(sizes) >= 2 and sizes[1].isdecimal() and int(sizes[1]) > 0:
-                    self._talk.buffer_bytes = min(int(sizes[1]), self._talk.buffer_bytes)
+                self._options = message.text.partition(",")[0]
         first, second = (
             {m.number: m.value for m in self._talk.command("$$") if isinstance(m, Setting)} for _ in range(2)
         )

@@ -5,9 +5,11 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
-from irodori.report.figures import front_figure
+from irodori.report.figures import png_uri
 from irodori.report.html_page import write_page
 
 #: The variant of each stage that the workflow uses by default.
@@ -65,13 +67,43 @@ def front(rows: Sequence[dict]) -> list[str]:
     return [r["variant"] for r in sorted(found, key=lambda r: -float(r["throughput"]))]
 
 
+def _front_figure(rows: list[dict], front: list[str], default: str | None, metric: str) -> str:
+    """Return a figure of throughput against error of variants; a line joins the Pareto front, a ring marks the default.
+
+    Parameters
+    ----------
+    rows : list of dict
+        Rows of a benchmark's table that have the same unit.
+    front : list of str
+        Variants on the front, fastest first.
+    default : str, optional
+    metric : str
+        Label of the error axis.
+    """
+    figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+    axes = figure.subplots()
+    places = {r["variant"]: (float(r["throughput"]), float(r["error"])) for r in rows}
+    for name, (speed, error) in places.items():
+        axes.plot(speed, error, "o", color="#2f6690" if name in front else "#b0b0b0", markersize=5)
+        axes.annotate(name, (speed, error), fontsize=7, textcoords="offset points", xytext=(4, 3))
+    best = [places[name] for name in front if name in places]
+    axes.plot([p[0] for p in best], [p[1] for p in best], "-", color="#2f6690", linewidth=0.8)
+    if default in places:
+        axes.plot(*places[default], "o", markersize=12, markerfacecolor="none", color="#c04040")
+    axes.set_xscale("log")
+    axes.set_yscale("symlog", linthresh=max(min((e for _, e in places.values() if e > 0.0), default=1.0), 1e-12))
+    axes.set_xlabel(f"throughput, {rows[0]['unit']}/s", fontsize=8)
+    axes.set_ylabel(metric, fontsize=8)
+    return png_uri(figure)
+
+
 def _stage(name: str, rows: list[dict]) -> dict:
     absent = [f"{r['variant']}: {r['error_metric']}" for r in rows if not is_measured(r)]
     rows = [r for r in rows if is_measured(r)]
     metric = next((r["error_metric"] for r in rows if r["error_metric"]), "")
     best = front(rows)
     figures = {
-        unit: front_figure(group, best, DEFAULTS.get(name), metric)
+        unit: _front_figure(group, best, DEFAULTS.get(name), metric)
         for unit in dict.fromkeys(r["unit"] for r in rows)
         if len(group := [r for r in rows if r["unit"] == unit and math.isfinite(float(r["error"]))]) > 1
     }
