@@ -12,6 +12,7 @@ import resource
 import shlex
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,9 @@ CALLS = (
     f"{OBJECT} --to tiff --illuminant A",
     f"{OBJECT} --to tiff --illuminant D65 --display 'Adobe RGB (1998)'",
     f"{OBJECT} --to spectral-exr",
+    f"{OBJECT} --to envi",
     f"{LIGHT} --to spectral-exr",
+    f"{LIGHT} --to envi",
 )
 #: Pictures of a view that are made on request -> functions that write them.
 ON_REQUEST = {"tif": write_tiff, "xyz.exr": write_xyz}
@@ -53,41 +56,52 @@ def processor_s() -> float:
 def size_mb(path: Path) -> float:
     """Return the size of an export on disk without its preview, MB."""
     files = list(path.iterdir()) if path.is_dir() else [path]
+    if path.suffix == ".img":
+        files += [path.with_suffix(".hdr"), path.with_name(f"{path.stem}-maps.img")]
     return sum(file.stat().st_size for file in files if file.is_file()) / 1e6
 
 
-def of_spectra(spectra: np.ndarray, material: Material) -> Loss:
+def of_spectra(read: Callable[[], np.ndarray], material: Material) -> Loss:
     """Return the loss of a material's spectra (h, w, 61) that were read back from an export."""
     diffuse = material.spectrum_scale[..., None] * material.spectra().astype(np.float64)
-    return Loss.of(delta_e_reflectance(diffuse, spectra)[material.observed])
+    return Loss.of(delta_e_reflectance(diffuse, read())[material.observed])
 
 
-def of_light(panorama: np.ndarray, light: Environment) -> Loss:
+def of_light(read: Callable[[], np.ndarray], light: Environment) -> Loss:
     """Return the loss of a panorama's radiance (h, w, 61) that was read back; white is a diffuser that faces up."""
     white = light.upward_white()
     matrix = xyz_from_radiance(white)
     exact = to_panorama(light.coefficients.astype(np.float64)) @ light.basis.T
-    labs = (lab_from_xyz(radiance @ matrix.T, matrix @ white) for radiance in (exact, panorama.astype(np.float64)))
+    labs = (lab_from_xyz(radiance @ matrix.T, matrix @ white) for radiance in (exact, read().astype(np.float64)))
     return Loss.of(delta_e(*labs))
+
+
+def envi_spectra(path: Path) -> np.ndarray:
+    """Return the spectra in an ENVI file, (h, w, 61)."""
+    from spectral.io import envi
+
+    return np.asarray(
+        envi.open(str(path.with_suffix(".hdr")), str(path)).open_memmap(interleave="bip"), dtype=np.float64
+    )
 
 
 def measured(call: str, folder: Path) -> list[dict]:
     """Make an export in a folder and return its rows of the table."""
     given = command_parser("export").parse_args(shlex.split(call))
     path = folder / f"{given.source}-{given.to}"
-    suffix = {"gltf": ".glb", "tiff": ".tif", "spectral-exr": ".exr"}.get(given.to, "")
+    suffix = {"gltf": ".glb", "tiff": ".tif", "spectral-exr": ".exr", "envi": ".img"}.get(given.to, "")
     start = processor_s()
     path, losses = export_named(given.source, path.with_suffix(suffix), given)
     seconds = processor_s() - start
-    if given.to == "spectral-exr":
+    if given.to in ("spectral-exr", "envi"):
         layers = "S0" if given.source == LIGHT else "T"
-        spectra = spectra_in(path, layers)[1]
+        read = (lambda: spectra_in(path, layers)[1]) if given.to == "spectral-exr" else (lambda: envi_spectra(path))
         if given.source == LIGHT:
             light = Environment.load(f"results/environments/{LIGHT}.h5")
-            losses = {"light of every direction, read back": of_light(spectra, light)}
+            losses = {"light of every direction, read back": of_light(read, light)}
         else:
             material = Material.load(f"results/{given.source}/material.h5")
-            losses = {"spectra read back, under D65": of_spectra(spectra, material)}
+            losses = {"spectra read back, under D65": of_spectra(read, material)}
     return _rows(call.replace("--to ", ""), losses, path, seconds)
 
 

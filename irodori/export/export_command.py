@@ -19,6 +19,7 @@ from irodori.export.diffuse_picture import (
     write_diffuse_tiff,
     write_preview,
 )
+from irodori.export.envi import INTERLEAVES
 from irodori.export.loss import Loss, Losses
 from irodori.export.material_pictures import SUFFIXES, export_picture, stored_preview
 
@@ -101,16 +102,18 @@ def _tiff(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
 
 def _picture(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
     file = source.environment if source.kind == "environment" else source.items[0].file
-    losses = export_picture(file, path)
+    losses = export_picture(file, path, given.interleave)
     _preview(source, path)
     return losses
 
 
+_SPECTRAL = ("object", "environment")
 TARGETS = {
     "gltf": Target(".glb", ("scene", "object"), _gltf, "glTF 2.0: shapes, textures, a variant of them for each light"),
     "mitsuba": Target("", ("scene",), _mitsuba, "a folder for Mitsuba 3 with a plugin that reads our coefficients"),
     "tiff": Target(".tif", ("object",), _tiff, "diffuse colour under a light, 16 bits a channel, with an ICC profile"),
-    "spectral-exr": Target(".exr", ("object", "environment"), _picture, "spectral EXR"),
+    "spectral-exr": Target(".exr", _SPECTRAL, _picture, "spectral EXR"),
+    "envi": Target(".img", _SPECTRAL, _picture, "ENVI"),
 }
 
 
@@ -179,6 +182,7 @@ def command_parser(prog: str) -> argparse.ArgumentParser:
     )
     add_configfile(parser)
     parser.add_argument("--display", choices=STANDARD, default="sRGB", help="whose colours and profile a tiff has")
+    parser.add_argument("--interleave", help=f"of ENVI (.img): {', '.join(INTERLEAVES)}; the first where absent")
     return parser
 
 
@@ -191,7 +195,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m irodori.expo
         elif given.output is None:
             raise PlainError(f"{given.source}: found neither --to nor a file to write; accepted: one of them.")
         else:
-            path, losses = given.output, export_picture(given.source, given.output)
+            path, losses = given.output, export_picture(given.source, given.output, given.interleave)
             write_preview(preview_of(path), stored_preview(given.source))
         print(path, *(f"{what}: {getattr(loss, 'text', loss)}" for what, loss in losses.items()), sep="\n")
     except PlainError as error:

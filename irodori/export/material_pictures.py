@@ -1,7 +1,8 @@
-"""Export of materials and environments for other programs, as spectral EXR or TIFF.
+"""Export of materials and environments for other programs, as spectral EXR, TIFF or ENVI.
 
 Spectral EXR has the published layout (Fichet et al. 2021). TIFF has 32-bit floats with one channel for each wavelength.
-Spectra are decoded a few rows at a time. A material has the layers ``T.<λ>nm`` (reflectance) and α, β, μ. An
+OpenImageIO writes both. ENVI, plain numbers with a text header, is written by Spectral Python, because OpenImageIO
+cannot. Spectra are decoded a few rows at a time. A material has the layers ``T.<λ>nm`` (reflectance) and α, β, μ. An
 environment has ``S0.<λ>nm``, as a panorama in the usual orientation: azimuth increases clockwise, 0 is in the middle.
 """
 
@@ -15,6 +16,7 @@ from irodori.colour.display import rgb_from_xyz
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.export.diffuse_picture import colours_from_bands, diffuse_colours
+from irodori.export.envi import INTERLEAVES, write_envi
 from irodori.export.loss import LOSS, Loss, Losses, stored_loss
 from irodori.export.pictures import layer_names, specification, write_picture_file
 from irodori.light.environment_file import Environment
@@ -22,8 +24,9 @@ from irodori.light.omnidirectional import to_panorama
 from irodori.material.material_file import Material, gloss_maps
 from irodori.spectra.grid import WAVELENGTH_NM
 
-SUFFIXES = (".exr", ".tif", ".tiff")
+SUFFIXES = (".exr", ".tif", ".tiff", ".img")
 _ROWS = 32
+_ENVI_BANDS = [f"{wavelength:g} nm" for wavelength in WAVELENGTH_NM]  # without commas, which separate the list
 
 
 def _write(path, size: tuple[int, int], names: list[str], attributes: dict, rows: Callable) -> None:
@@ -45,7 +48,7 @@ def _attributes(units: str, names: list[str], loss: str) -> dict:
     }
 
 
-def export_material(source, path) -> Loss:
+def export_material(source, path, interleave: str = "bsq") -> Loss:
     """Write the diffuse reflectance of a material, and its maps of α and of β and μ of every gloss component.
 
     The reflectance is α S(λ) / S_G, as it is rendered: that of the diffuse term with its level in the green band fitted
@@ -57,7 +60,10 @@ def export_material(source, path) -> Loss:
     source : path
         ``material.h5``. Texels without data stay NaN.
     path : path
-        ``.exr`` or ``.tif``, where the channels R, G, B are linear sRGB under D65.
+        ``.exr`` or ``.tif``, where the channels R, G, B are linear sRGB under D65; or ``.img`` for ENVI. An ENVI file
+        lists wavelengths for all bands or for none, so the maps are in a second file, ``<name>-maps.img``.
+    interleave : str
+        Order of the numbers in ENVI files, see `irodori.export.envi.write_envi`.
 
     Returns
     -------
@@ -66,7 +72,8 @@ def export_material(source, path) -> Loss:
         precision.
     """
     material = Material.load(source)
-    names = ["R", "G", "B", *layer_names("T"), "alpha", *gloss_maps(material.lobes)]
+    own = ["alpha", *gloss_maps(material.lobes)]
+    names = ["R", "G", "B", *layer_names("T"), *own]
     to_xyz = xyz_from_reflectance("D65")
     to_rgb = rgb_from_xyz(to_xyz.sum(axis=1)) @ to_xyz
 
@@ -75,11 +82,13 @@ def export_material(source, path) -> Loss:
     def decoded(part: slice) -> np.ndarray:
         return scale[part].astype(np.float32) * (material.coefficients[part] @ material.basis.T)
 
-    maps = np.stack([material.alpha, *(values for _, *pair in material.gloss for values in pair)], axis=-1)
+    def maps(part: slice) -> np.ndarray:
+        gloss = [values[part] for _, *pair in material.gloss for values in pair]
+        return np.stack([material.alpha[part], *gloss], axis=-1)
 
     def rows(part: slice) -> np.ndarray:
         spectra = decoded(part)
-        return np.concatenate([spectra @ to_rgb.T, spectra, maps[part]], axis=-1)
+        return np.concatenate([spectra @ to_rgb.T, spectra, maps(part)], axis=-1)
 
     exact_basis = material.basis.astype(np.float64)
 
@@ -97,11 +106,16 @@ def export_material(source, path) -> Loss:
         name: "a ratio" if units == "1" else f"in {units}" for name, (units, _) in gloss_maps(material.lobes).items()
     }
     ratios = ", ".join(["alpha is a ratio", *(f"{name} is {unit}" for name, unit in units_of.items())])
+    if _is_envi(path):
+        size, beside = material.alpha.shape, Path(path).with_name(f"{Path(path).stem}-maps.img")
+        write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=f"{reflectance}; {LOSS} {stated}")
+        write_envi(beside, size, own, maps, interleave=interleave, units=ratios)
+        return loss
     _write(path, material.alpha.shape, names, _attributes(f"{reflectance}; {ratios}", names, stated), rows)
     return loss
 
 
-def export_environment(source, path) -> Loss | str:
+def export_environment(source, path, interleave: str = "bsq") -> Loss | str:
     """Write the radiance of an environment as a panorama.
 
     The description in the file states the loss by 32-bit numbers.
@@ -111,7 +125,10 @@ def export_environment(source, path) -> Loss | str:
     source : path
         File of an environment.
     path : path
-        ``.exr`` or ``.tif``, where the channels R, G, B are linear sRGB with a perfect diffuser that faces up as white.
+        ``.exr`` or ``.tif``, where the channels R, G, B are linear sRGB with a perfect diffuser that faces up as white;
+        or ``.img`` for ENVI.
+    interleave : str
+        Order of the numbers in ENVI files, see `irodori.export.envi.write_envi`.
 
     Returns
     -------
@@ -133,6 +150,10 @@ def export_environment(source, path) -> Loss | str:
     loss = _loss_of_light(environment, decoded)
     stated = f"{loss.text}, white is a diffuser that faces up" if isinstance(loss, Loss) else loss
     units = "relative spectral radiance"
+    if _is_envi(path):
+        size = environment.coefficients.shape[:2]
+        write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=f"{units}; {LOSS} {stated}")
+        return loss
     attributes = _attributes(units, names, stated) | {"emissiveUnits": units}
     _write(path, environment.coefficients.shape[:2], names, attributes, rows)
     return loss
@@ -175,12 +196,18 @@ def _rgb_from_radiance(environment: Environment) -> np.ndarray:
     return rgb_from_xyz(matrix @ white) @ matrix
 
 
-def export_picture(source, path) -> Losses:
+def _is_envi(path) -> bool:
+    return Path(path).suffix.lower() == ".img"
+
+
+def export_picture(source, path, interleave: str | None = None) -> Losses:
     """Write a material or an environment in the format given by the suffix of ``path``.
 
     Parameters
     ----------
     source, path : path
+    interleave : str, optional
+        Order of the numbers in ENVI files, ``bsq`` by default; see `irodori.export.envi.write_envi`.
 
     Returns
     -------
@@ -190,13 +217,17 @@ def export_picture(source, path) -> Losses:
     Raises
     ------
     InputError
-        For another suffix, or a file that is neither a material nor an environment.
+        For another suffix, a file that is neither a material nor an environment, an unknown interleave, or an
+        interleave for another format than ENVI.
     """
+    if interleave is not None and not (_is_envi(path) and interleave in INTERLEAVES):
+        raise InputError(path, "interleave", interleave, f"one of {', '.join(INTERLEAVES)}, with the suffix .img")
+    interleave = interleave or INTERLEAVES[0]
     if Path(path).suffix.lower() not in SUFFIXES:
         raise InputError(path, "", f"the suffix {Path(path).suffix!r}", f"one of {', '.join(SUFFIXES)}")
     if _is_material(source):
-        return {"spectra, under D65": export_material(source, path)}
-    return {"light of every direction": export_environment(source, path)}
+        return {"spectra, under D65": export_material(source, path, interleave)}
+    return {"light of every direction": export_environment(source, path, interleave)}
 
 
 def _is_material(source) -> bool:

@@ -7,6 +7,7 @@ import OpenImageIO as oiio
 import pytest
 from PIL import Image
 from scenes import material
+from spectral.io import envi
 
 from benchmarks.written_pictures import spectra_in
 from irodori.colour.colorimetry import delta_e, delta_e_reflectance, lab_from_xyz, xyz_from_radiance
@@ -66,13 +67,16 @@ def test_a_material_comes_back_from_a_spectral_exr(files):
 
 def stated_and_read(path, layers):
     """What a file states of its loss, and its spectra as other programs read them."""
+    if path.suffix == ".img":
+        opened = envi.open(str(path.with_suffix(".hdr")), str(path))
+        return opened.metadata["description"], np.asarray(opened.open_memmap(interleave="bip"))
     spec, pixels = read(path)
     if path.suffix == ".tif":
         return spec.getattribute("ImageDescription"), pixels[..., 3:64]
     return f"irodori:loss {spec.getattribute('irodori:loss')}", spectra_in(path, layers)[1]
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".tif"])
+@pytest.mark.parametrize("suffix", [".exr", ".tif", ".img"])
 def test_the_file_of_a_material_states_by_how_much_its_spectra_are_off(files, suffix):
     """The figures are those of what is read back, against the coefficients in double precision."""
     folder, *_ = files
@@ -87,7 +91,7 @@ def test_the_file_of_a_material_states_by_how_much_its_spectra_are_off(files, su
     assert losses["spectra, under D65"] == pytest.approx(Loss.of(off), rel=1e-6, abs=1e-12)
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".tif"])
+@pytest.mark.parametrize("suffix", [".exr", ".tif", ".img"])
 def test_the_file_of_a_light_states_by_how_much_its_colours_are_off(files, suffix):
     """White is a perfect diffuser that faces up, whose light is the irradiance map's at its pole over pi."""
     folder, _, light = files
@@ -128,6 +132,52 @@ def test_a_tiff_holds_the_same_numbers_and_tells_its_channels(files, suffix):
     assert np.allclose(pixels[..., 3:64], diffuse(paint), rtol=1e-6, equal_nan=True)
     told = spec.getattribute("ImageDescription")
     assert told.startswith("channels: R G B " + " ".join(layer_names("T")) + " alpha beta mu")
+
+
+def read_flat(path, shape, interleave):
+    """The numbers as the header's words lay them out, without the library that wrote them: (height, width, bands)."""
+    height, width, bands = shape
+    values = np.fromfile(path, np.float32)
+    if interleave == "bsq":
+        return values.reshape(bands, height, width).transpose(1, 2, 0)
+    if interleave == "bil":
+        return values.reshape(height, bands, width).transpose(0, 2, 1)
+    return values.reshape(height, width, bands)
+
+
+@pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
+def test_envi_holds_the_spectra_with_their_wavelengths_and_the_maps_beside(files, interleave):
+    folder, paint, light = files
+    export_picture(folder / "material.h5", folder / "out.img", interleave)
+    header = envi.read_envi_header(str(folder / "out.hdr"))
+    assert [float(w) for w in header["wavelength"]] == WAVELENGTH_NM.tolist()
+    assert header["wavelength units"] == "Nanometers" and header["interleave"] == interleave
+    assert (header["lines"], header["samples"], header["bands"], header["data type"]) == ("4", "8", "61", "4")
+    assert "reflectance factor" in header["description"] and header["band names"][::60] == ["400 nm", "700 nm"]
+    assert np.allclose(read_flat(folder / "out.img", (4, 8, 61), interleave), diffuse(paint), rtol=1e-6, equal_nan=True)
+    maps = read_flat(folder / "out-maps.img", (4, 8, 3), interleave)
+    for values, expected in zip(np.moveaxis(maps, -1, 0), (paint.alpha, paint.beta, paint.mu), strict=True):
+        assert np.allclose(values, expected, rtol=1e-6, equal_nan=True)
+    named = envi.read_envi_header(str(folder / "out-maps.hdr"))
+    assert named["band names"] == ["alpha", "beta", "mu"] and "wavelength" not in named
+    export_picture(folder / "light.h5", folder / "light.img", interleave)
+    opened = envi.open(str(folder / "light.hdr"))
+    expected = light.coefficients @ light.basis.T
+    assert np.allclose(from_panorama(np.asarray(opened.load())), expected, rtol=1e-5)
+    assert opened.bands.centers == WAVELENGTH_NM.tolist() and opened.bands.band_unit == "Nanometers"
+    export_picture(folder / "light.h5", folder / "light.img", interleave)  # again, over what is there
+    assert not [path for path in folder.iterdir() if "part" in path.name]
+
+
+def test_an_interleave_is_one_of_envis_and_for_envi(files, capsys):
+    folder, _, _ = files
+    with pytest.raises(InputError, match=r"bpi.+bsq, bil, bip"):
+        export_picture(folder / "material.h5", folder / "out.img", "bpi")
+    with pytest.raises(InputError, match=r"suffix \.img"):
+        export_picture(folder / "material.h5", folder / "out.exr", "bil")
+    assert main([str(folder / "material.h5"), str(folder / "out.img"), "--interleave", "bsl"]) == 2
+    assert "bsl" in capsys.readouterr().err
+    assert not list(folder.glob("out*"))
 
 
 def test_a_white_texel_is_white_in_rgb(tmp_path):

@@ -102,7 +102,7 @@ def test_a_wide_display_loses_what_rounding_takes_and_srgb_what_it_cannot_show(p
     assert losses["sRGB"].compared == 64  # texels that were photographed
 
 
-@pytest.mark.parametrize("to", ["gltf", "tiff", "spectral-exr"])
+@pytest.mark.parametrize("to", ["gltf", "tiff", "spectral-exr", "envi"])
 def test_an_object_is_exported_with_a_preview_beside_it(project, to):
     root, _ = project
     path, losses = export_named("tile-plate", None, given("tile-plate", "--to", to, "--illuminant", "D65"))
@@ -269,7 +269,7 @@ def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys,
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["still-life", "--to", "obj"], "--to: found 'obj'; accepted: gltf, mitsuba, tiff, spectral-exr."),
+        (["still-life", "--to", "obj"], "--to: found 'obj'; accepted: gltf, mitsuba, tiff, spectral-exr, envi."),
         (["jar", "--to", "gltf"], "no scene or object 'jar'; accepted: one of: celadon-lid,"),
         (["bowls/jar", "--to", "gltf"], "no scene or object 'bowls/jar'"),
         (["still-life", "--to", "tiff"], "--to tiff: found the scene 'still-life'; accepted: object."),
@@ -287,6 +287,7 @@ def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys,
         (["tile-plate", "--to", "tiff", "--illuminant", "TCS3"], "--illuminant: found 'TCS3'; accepted: "),
         (["tile-plate", "--to", "gltf", "--illuminant", "A", "no.csv"], "--illuminant: found no such file: no.csv;"),
         (["tile-plate", "--to", "tiff", "--illuminant", "A", "D65"], "--illuminant: found 2 lights; accepted: one"),
+        (["tile-plate", "--to", "spectral-exr", "--interleave", "bil"], "with the suffix .img"),
         (["tile-plate"], "tile-plate: found neither --to nor a file to write; accepted: one of them."),
     ],
 )
@@ -331,12 +332,12 @@ def test_the_table_of_losses_is_measured_from_the_files_and_shown_with_its_reaso
     from benchmarks.exports import COLUMNS, measured
     from benchmarks.published_tables import exports_block
 
-    calls = ("tile-plate --to gltf --illuminant D65", "tile-plate --to spectral-exr",
-             "classroom --to spectral-exr")  # fmt: skip
+    calls = ("tile-plate --to gltf --illuminant D65", "tile-plate --to spectral-exr", "tile-plate --to envi",
+             "classroom --to spectral-exr", "classroom --to envi")  # fmt: skip
     rows = [row for call in calls for row in measured(call, tmp_path)]
     assert [row["compared"] for row in rows[:4]] == [f"tile-plate: {kind}" for kind in (LAMP, HIGHLIGHT, EVEN, SPECTRA)]
     spectral = rows[4:]
-    assert [row["count"] for row in spectral] == [64, 2048] and all(row["max"] < 1e-3 for row in spectral)
+    assert [row["count"] for row in spectral] == [64, 64, 2048, 2048] and all(row["max"] < 1e-3 for row in spectral)
     sizes = [(tmp_path / f"tile-plate-{name}").stat().st_size for name in ("gltf.glb", "spectral-exr.exr")]
     assert [float(rows[at]["mb"]) for at in (0, 4)] == pytest.approx([size / 1e6 for size in sizes], rel=1e-3)
     rows.append({"export": "still-life mitsuba", "compared": "view front", "count": "not measured: no | LLVM"})

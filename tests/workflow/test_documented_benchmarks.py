@@ -190,17 +190,13 @@ def test_the_documented_benchmarks_of_whole_projects_plan_theirs_and_read_a_fini
 @pytest.mark.heavy
 def test_the_documented_tables_and_figures_are_made_of_a_finished_run(again, tmp_path, monkeypatch):
     """Exports are measured of the small project; tables of a whole run are those beside the documents."""
-    monkeypatch.setattr(exports, "CALLS", ("tile-plate --to tiff", "tile-plate --to spectral-exr"))
+    monkeypatch.setattr(exports, "CALLS", ("tile-plate --to tiff", "tile-plate --to envi"))
     monkeypatch.setattr("sys.argv", ["exports", "--results", str(again / "results")])
     monkeypatch.chdir(again)
     exports.main()
     measured = (again / "results/benchmark/exports.csv").read_text().splitlines()
     pictures = [f"results/still-life/front.{kind}" for kind in ("exr", "png", "tif", "xyz.exr")]
-    assert sorted({line.split(",")[0] for line in measured[1:]}) == [
-        *pictures,
-        "tile-plate spectral-exr",
-        "tile-plate tiff",
-    ]
+    assert sorted({line.split(",")[0] for line in measured[1:]}) == [*pictures, "tile-plate envi", "tile-plate tiff"]
     for name, place in published_tables.SOURCES.items():
         (tmp_path / "results" / place).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(published_tables.FIGURES / name, tmp_path / "results" / place)
