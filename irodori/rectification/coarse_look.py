@@ -15,7 +15,7 @@ import numpy as np
 from irodori.rectification.reduced_pictures import DARK, GREEN, Picture
 
 if TYPE_CHECKING:
-    from irodori.rectification.object_registration import _Problem as Problem
+    from irodori.rectification.registration_problem import Problem
 
 _MOST_PICTURES, _MOST_POINTS = 6, 60  # photographs, and points of each outline, that are looked at
 #: Multiples of the size and shifts that are tried: ratio of neighbours and their number to either side; step and range

@@ -25,8 +25,7 @@ from irodori.rectification.told_values import CONTRADICTED
 
 if TYPE_CHECKING:
     from irodori.config.models import Placing
-    from irodori.rectification.object_registration import Registered
-    from irodori.rectification.object_registration import _Problem as Problem
+    from irodori.rectification.registration_problem import Problem, Registered
 
 #: Standard deviation of the error of all camera angles, degrees, with which it is asked whether it explains a fault.
 FREE_CAMERA_DEG = 5.0

@@ -18,7 +18,7 @@ from irodori.rectification.outline_search import InnerSide, first_hit, held
 from irodori.rectification.reduced_pictures import GREEN
 
 if TYPE_CHECKING:
-    from irodori.rectification.object_registration import _Problem as Problem
+    from irodori.rectification.registration_problem import Problem
 
 _NODES, _STEP = 13, 0.5  # depths at which the brightness is returned, and their distance in units of the blur
 _FEW = 600  # points of the surface, about, by which the contrast of its paints is found

@@ -17,7 +17,7 @@ from irodori.rectification.stage import observe
 from irodori.rectification.texture_agreement import picture_slope
 
 if TYPE_CHECKING:
-    from irodori.rectification.object_registration import _Problem as Problem
+    from irodori.rectification.registration_problem import Problem
 
 _LEAST_COSINE = 0.15  # cosine of incidence or of view below which an observation is left out
 _LEAST_SINE = 1e-3  # sine of an angle below which its derivative is not defined

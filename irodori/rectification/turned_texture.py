@@ -23,8 +23,7 @@ from irodori.rectification.stage import observe
 from irodori.rectification.texture_agreement import matt_weight, mean_texture, texel_values
 
 if TYPE_CHECKING:
-    from irodori.rectification.object_registration import _Problem as Problem
-    from irodori.rectification.object_registration import _View as View
+    from irodori.rectification.registration_problem import Problem, View
 
 TURN = slice(3, 6)  # the rotation about the table's axes in `irodori.rectification.placement_correction.QUANTITIES`
 _LEAST_COSINE = 0.25  # of incidence and view: at grazing angles pictures show little, and mix in what lies behind

@@ -17,8 +17,9 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.shapes.shape import Shape
 from irodori.rectification.marker_sheet import find_corners
-from irodori.rectification.object_registration import Registered, register, register_object
+from irodori.rectification.object_registration import register, register_object
 from irodori.rectification.placement_correction import QUANTITIES, Correction
+from irodori.rectification.registration_problem import Registered
 from irodori.rectification.stage import RigSetup
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.sensor import band_weights

@@ -9,7 +9,8 @@ from irodori.config.models import Placing
 from irodori.config.parts import TexturedObject
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera, to_light
 from irodori.rectification.inner_brightness import paint_contrast, painted
-from irodori.rectification.object_registration import _descend, _outline, _prepare, _problem
+from irodori.rectification.object_registration import _descend, _prepare, _problem
+from irodori.rectification.registration_equations import measure_outline
 
 RADIUS_MM = 25.0
 BALL = TexturedObject.of({"shape": {"kind": "sphere", "radius_mm": RADIUS_MM}, "texels": {"width": 64, "height": 32}})
@@ -66,8 +67,8 @@ def test_a_border_just_inside_an_outline_is_known_from_other_photographs(tmp_pat
     problem = prepared(a_ball(tmp_path, border_deg, dark))
     last = len(POSES) - 1
     view = problem.views[last]
-    even, view.inner = _outline(problem, last, 4.0), painted(problem, last, paint_contrast(problem))
-    known = _outline(problem, last, 4.0)
+    even, view.inner = measure_outline(problem, last, 4.0), painted(problem, last, paint_contrast(problem))
+    known = measure_outline(problem, last, 4.0)
     assert known.found.sum() > 0.75 * len(known.found)
     assert abs(np.median(known.distance)) < 0.02 and np.percentile(np.abs(known.distance), 90.0) < 0.12
     at_ends = view.inner.paint[:, 0] / view.inner.paint[:, -1]
@@ -89,9 +90,9 @@ def test_what_no_other_photograph_shows_is_taken_for_evenly_painted(tmp_path):
         np.testing.assert_allclose(side.paint, 1.0, atol=0.05)
         # What else it could be painted with makes the place of its edge unsure.
         np.testing.assert_allclose(side.unsure, 0.3, rtol=1e-6)
-        sure = _outline(problem, 0, 4.0).doubt
+        sure = measure_outline(problem, 0, 4.0).doubt
         problem.views[0].inner = side
-        assert (_outline(problem, 0, 4.0).doubt > sure + 0.1).all()
+        assert (measure_outline(problem, 0, 4.0).doubt > sure + 0.1).all()
 
 
 def test_the_contrast_of_paints_is_that_of_what_the_photographs_show(tmp_path):

@@ -19,20 +19,11 @@ from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.lens.printed_sheets import LENS_SHEET, OBJECT_SHEET
 from irodori.rectification.marker_sheet import SHEET_QUANTITIES, MarkerSheet, check_first_size, corners_in
-from irodori.rectification.object_registration import (
-    Registered,
-    _lay_sheet,
-    _Problem,
-    _settle,
-    _texels,
-    _View,
-    in_words,
-    register,
-    register_object,
-)
+from irodori.rectification.object_registration import _lay_sheet, _settle, in_words, register, register_object
 from irodori.rectification.placement_correction import COUNT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.registration_covariance import RegisteredAngleErrors
 from irodori.rectification.registration_file import AngleChanges, Estimate
+from irodori.rectification.registration_problem import Problem, Registered, View, texels_of
 from irodori.rectification.told_values import inverse
 
 SHEET = Markers.of({"paper": PAPER})
@@ -107,7 +98,7 @@ def with_corners(truth, placing, noise_px, rng, views=VIEWS):
     shape = Shape.from_definition(BALL.shape)
     sheet = MarkerSheet.of(SHEET, shape, placing)
     sigma = np.concatenate([prior_sigma(placing), np.full(len(views), placing.camera_deg)])
-    problem = _Problem(shape, SETUP, _texels(shape, 8, 4), [_View(pose) for pose in views], sigma, np.zeros(len(sigma)))
+    problem = Problem(shape, SETUP, texels_of(shape, 8, 4), [View(pose) for pose in views], sigma, np.zeros(len(sigma)))
     problem.sheet, common, of_sheet = sheet, truth[:COUNT], truth[COUNT + len(views) :]
     for number, view in enumerate(problem.views):
         square = 12.0 * (1.0 + of_sheet[6:8] / 100.0) * [1.0, -1.0]

@@ -26,19 +26,14 @@ from irodori.geometry.shapes.placement import on_table
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.rectification import reduced_pictures
 from irodori.rectification.contradicted_definitions import fault_of
-from irodori.rectification.object_registration import (
-    Registered,
-    _cauchy,
-    _displacement,
-    _scatter,
-    in_words,
-    register,
-    register_object,
-)
+from irodori.rectification.object_registration import in_words, register, register_object
 from irodori.rectification.placement_correction import COUNT, QUANTITIES, Correction, prior_sigma
+from irodori.rectification.pose_residuals import _displacement
 from irodori.rectification.reduced_pictures import Picture
 from irodori.rectification.registration_covariance import RegisteredAngleErrors
+from irodori.rectification.registration_equations import cauchy_weight, robust_sigma
 from irodori.rectification.registration_file import AngleChanges, Estimate
+from irodori.rectification.registration_problem import Registered
 from irodori.rectification.texture_agreement import (
     blocks,
     matt_weight,
@@ -299,12 +294,12 @@ def test_of_two_that_are_told_as_a_sum_one_takes_all_of_it():
 
 def test_outliers_lose_their_weight():
     values = np.array([0.01, -0.02, 0.015, -0.01, 5.0])
-    sigma = _scatter(values, 0.001)
-    weight = _cauchy(values, sigma)
+    sigma = robust_sigma(values, 0.001)
+    weight = cauchy_weight(values, sigma)
     assert sigma == pytest.approx(1.4826 * 0.015) and weight[-1] < 1e-4 and weight[:4].min() > 0.8
-    assert _scatter(values, 0.1) == 0.1 and _scatter(values, 0.001, 0.01) == 0.01
-    assert _scatter(np.zeros(0), 0.3) == 0.3
-    assert _cauchy(np.array([-0.4, 0.0]), 0.2).tolist() == [0.5, 1.0]  # half the say at two standard deviations
+    assert robust_sigma(values, 0.1) == 0.1 and robust_sigma(values, 0.001, 0.01) == 0.01
+    assert robust_sigma(np.zeros(0), 0.3) == 0.3
+    assert cauchy_weight(np.array([-0.4, 0.0]), 0.2).tolist() == [0.5, 1.0]  # half the say at two standard deviations
 
 
 # Words.

@@ -19,43 +19,39 @@ from irodori.geometry.shapes.sphere import Sphere
 from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.rectification import object_registration
 from irodori.rectification.object_registration import (
-    _add_texture,
     _descend,
-    _displacement,
-    _equations,
     _first_reach,
-    _is_clearer,
-    _Outline,
-    _outline,
-    _outline_scale,
-    _outline_variance,
     _prepare,
-    _Problem,
     _problem,
-    _residuals,
-    _shift,
     _spacing,
-    _suspect,
-    _texels,
-    _textures,
-    _View,
     _weigh,
     _window,
     register,
 )
 from irodori.rectification.placement_correction import CAMERA, COUNT, LIGHT, Correction, prior_sigma
+from irodori.rectification.pose_residuals import _displacement, _is_clearer, _shift, _suspect, pose_residuals
+from irodori.rectification.registration_equations import (
+    Outline,
+    add_texture,
+    equations,
+    linearised_textures,
+    measure_outline,
+    outline_scale,
+    outline_variance,
+)
+from irodori.rectification.registration_problem import Problem, View, texels_of
 from irodori.rectification.texture_agreement import TextureRows, blocks, mean_texture
 from irodori.rectification.told_values import diagonal_of_inverse
 
 MM_PER_PX = 2.0 * 900.0 / 2400.0
 
 
-def problem_without_pictures(shape, poses, *, columns=24, rows=20, setup=SETUP, placing=None) -> _Problem:
+def problem_without_pictures(shape, poses, *, columns=24, rows=20, setup=SETUP, placing=None) -> Problem:
     sigma = np.concatenate([prior_sigma(placing or Placing()), np.full(len(poses), 0.3)])
-    return _Problem(shape, setup, _texels(shape, columns, rows), [_View(p) for p in poses], sigma, np.zeros(len(sigma)))
+    return Problem(shape, setup, texels_of(shape, columns, rows), [View(p) for p in poses], sigma, np.zeros(len(sigma)))
 
 
-def prepared(problem, reach=4.0, blur=2.0) -> _Problem:
+def prepared(problem, reach=4.0, blur=2.0) -> Problem:
     """What photographs show at a level of the search, as `_descend` has it done."""
     texels = problem.texels
     problem.block = blocks(texels.columns, texels.rows, _spacing(problem), blur)[texels.number]
@@ -114,9 +110,9 @@ def test_shading_is_the_cosine_of_incidence_times_the_power_of_a_near_lamp():
 
 
 def test_texels_are_the_objects_own_or_as_many_as_are_compared():
-    own = _texels(Plate(60.0, 50.0), 24, 20)
+    own = texels_of(Plate(60.0, 50.0), 24, 20)
     assert (own.columns, own.rows) == (24, 20) and np.array_equal(own.number, np.arange(480))
-    fine = _texels(Plate(60.0, 30.0), 2000, 1000)
+    fine = texels_of(Plate(60.0, 30.0), 2000, 1000)
     assert fine.columns * fine.rows == pytest.approx(3600, rel=0.02) and fine.columns / fine.rows == pytest.approx(
         2.0, rel=0.02
     )
@@ -124,7 +120,7 @@ def test_texels_are_the_objects_own_or_as_many_as_are_compared():
         np.ptp(fine.position, axis=0), [60.0 - 60.0 / fine.columns, 30.0 - 30.0 / fine.rows, 0.0]
     )
     # A slope needs two texels along each side.
-    assert (_texels(Plate(60.0, 50.0), 1, 2).columns, _texels(Plate(60.0, 50.0), 2, 1).rows) == (2, 2)
+    assert (texels_of(Plate(60.0, 50.0), 1, 2).columns, texels_of(Plate(60.0, 50.0), 2, 1).rows) == (2, 2)
 
 
 def test_a_window_holds_the_object_and_a_margin():
@@ -215,7 +211,7 @@ def test_the_outline_of_a_sphere_is_looked_for_where_it_is_lit():
 FACING = [Pose(45.0, 0.0), Pose(45.0, 0.0, 0.0, 90.0)]
 
 
-def plain(folder, poses=FACING, **lies) -> _Problem:
+def plain(folder, poses=FACING, **lies) -> Problem:
     """A plate without texture that lies elsewhere than it is said to."""
     files = drawn(folder, correction(**lies), poses, poses, contrast=0.0)
     return prepared(_problem(files, PLATE, SETUP, Placing()))
@@ -224,7 +220,7 @@ def plain(folder, poses=FACING, **lies) -> _Problem:
 def test_the_distance_of_an_outline_is_what_lies_between_plate_and_prior_along_the_normals(tmp_path):
     problem = plain(tmp_path, x_mm=0.6, y_mm=-0.9)
     for number, moved in ((0, [0.6, 0.9]), (1, [0.9, -0.6])):
-        distance, _, change, found = _outline(problem, number, 4.0)
+        distance, _, change, found = measure_outline(problem, number, 4.0)
         outward = problem.views[number].outward[found]
         assert found.sum() > 150
         np.testing.assert_allclose(distance, outward @ moved / MM_PER_PX, atol=0.02)
@@ -257,7 +253,7 @@ def test_nothing_is_said_of_an_outline_of_few_points(tmp_path):
     view = problem.views[0]
     for count in (0, 11, 12):
         view.rim, view.outward, view.change = (one[:count] for one in (view.rim, view.outward, view.change))
-        distance, _, change, found = _outline(problem, 0, 4.0)
+        distance, _, change, found = measure_outline(problem, 0, 4.0)
         said = count if count >= 12 else 0
         assert (len(distance), len(change), found.sum(), len(found)) == (said, said, said, count)
         problem = prepared(problem)
@@ -267,14 +263,14 @@ def test_nothing_is_said_of_an_outline_of_few_points(tmp_path):
 def test_the_normal_equations_are_those_of_the_outlines_distances_and_the_prior(tmp_path):
     problem = plain(tmp_path, x_mm=0.01, y_mm=-0.01, about_z_deg=0.01)
     problem.unknowns = np.random.default_rng(6).normal(0.0, 0.003, COUNT + 2)
-    matrix, right = _equations(problem, 4.0)
+    matrix, right = equations(problem, 4.0)
     cost = np.zeros((2, COUNT + 2))
     step = 0.02
 
     def half_square(values):
         """Half the sum of squares: five points as one of 0.1 superpixels, outliers with less weight, and the prior."""
         before, problem.unknowns = problem.unknowns, values
-        off = np.concatenate([_outline(problem, number, 4.0)[0] for number in (0, 1)])
+        off = np.concatenate([measure_outline(problem, number, 4.0)[0] for number in (0, 1)])
         problem.unknowns = before
         # Cauchy's, whose derivative is the distance times its weight.
         outlines = 0.5 * np.sum(0.2**2 * np.log1p((off / 0.2) ** 2)) / (0.1**2 * 5.0)
@@ -294,19 +290,19 @@ def test_the_normal_equations_are_those_of_the_outlines_distances_and_the_prior(
             values = problem.unknowns.copy()
             values[number] += sign * step
             moved = replace(problem, unknowns=values)
-            ends.append(_equations(moved, 4.0)[1])
+            ends.append(equations(moved, 4.0)[1])
         slope.append((ends[1] - ends[0]) / (2.0 * step))
     np.testing.assert_allclose(np.array(slope) / np.outer(scale, scale), matrix / np.outer(scale, scale), atol=0.1)
     # What has no room has no prior either.
     fixed = replace(problem, sigma=np.where(np.arange(COUNT + 2) == 3, 0.0, problem.sigma))
-    without = _equations(fixed, 4.0)
+    without = equations(fixed, 4.0)
     expected = np.zeros(COUNT + 2)
     expected[3] = 1.0 / problem.sigma[3] ** 2
     np.testing.assert_allclose(matrix - without[0], np.diag(expected), atol=1e-9)
     np.testing.assert_allclose(right - without[1], -expected * problem.unknowns, atol=1e-9)
 
 
-def silenced(problem) -> _Problem:
+def silenced(problem) -> Problem:
     """The same without a say of any texel."""
     for view in problem.views:
         view.weight = np.zeros_like(view.weight)
@@ -317,12 +313,12 @@ def test_textures_are_compared_at_the_end_and_where_there_is_no_outline(tmp_path
     files = drawn(tmp_path, Correction(), FACING, FACING)
     for reach, has_a_say in ((16.0, False), (4.0, True)):
         problem = prepared(_problem(files, PLATE, SETUP, Placing()), reach)
-        whole = _equations(problem, reach)[0]
-        by_outline = _equations(silenced(problem), reach)[0]
+        whole = equations(problem, reach)[0]
+        by_outline = equations(silenced(problem), reach)[0]
         assert (not np.array_equal(whole, by_outline)) == has_a_say
         assert by_outline[0, 0] > 2.0 / problem.sigma[0] ** 2
     beyond = textured(tmp_path)
-    assert not np.array_equal(_equations(beyond, 16.0)[0], _equations(silenced(beyond), 16.0)[0])
+    assert not np.array_equal(equations(beyond, 16.0)[0], equations(silenced(beyond), 16.0)[0])
 
 
 def test_the_texture_of_round_objects_is_not_compared():
@@ -332,7 +328,7 @@ def test_the_texture_of_round_objects_is_not_compared():
         view.picture = picture(response)
     prepared(problem)
     for reach in (16.0, 4.0):
-        matrix, right = _equations(problem, reach)
+        matrix, right = equations(problem, reach)
         np.testing.assert_allclose(matrix, np.diag(1.0 / problem.sigma**2), rtol=1e-12)
         assert not right.any()
 
@@ -358,14 +354,14 @@ def test_textures_are_blurred_by_a_third_of_the_reach_and_more_than_half_a_texel
 def test_steps_end_where_they_are_a_fiftieth_of_what_is_still_unsure(tmp_path, monkeypatch):
     problem, steps = _problem(drawn(tmp_path, correction(x_mm=0.6, y_mm=-0.9), FACING, FACING, contrast=0.0), PLATE,
                               SETUP, Placing()), []  # fmt: skip
-    real = object_registration._equations
+    real = object_registration.equations
 
     def counted(*arguments):
         matrix, right = real(*arguments)
         steps.append(problem.unknowns.copy())
         return matrix, right
 
-    monkeypatch.setattr(object_registration, "_equations", counted)
+    monkeypatch.setattr(object_registration, "equations", counted)
     _descend(problem, 4.0, 2)
     assert len(steps) == 2
     matrix = _descend(problem, 4.0, 50)
@@ -411,8 +407,8 @@ def test_at_the_end_no_outline_is_thought_to_scatter_much():
     """Before, points at other edges than the outline scatter by superpixels."""
     change = np.zeros((400, COUNT + 2))
     distance = np.random.default_rng(5).normal(0.0, 3.0, 400)
-    far = [_Outline(distance, np.zeros(400), change, np.ones(400, dtype=bool))]
-    before, at_end = (_outline_scale(far, is_last=last) for last in (False, True))
+    far = [Outline(distance, np.zeros(400), change, np.ones(400, dtype=bool))]
+    before, at_end = (outline_scale(far, is_last=last) for last in (False, True))
     assert before == pytest.approx(3.0, rel=0.1) and at_end < 0.5
 
 
@@ -424,7 +420,7 @@ LARGE = TexturedObject.of(
 HALF_TURNED = [Pose(45.0, 0.0), Pose(45.0, 0.0, 0.0, 180.0)]
 
 
-def textured(folder, shown=HALF_TURNED, stated=HALF_TURNED, **lies) -> _Problem:
+def textured(folder, shown=HALF_TURNED, stated=HALF_TURNED, **lies) -> Problem:
     """A plate that reaches beyond the pictures."""
     files = drawn(folder, correction(**lies), shown, stated, (130.0, 104.0))
     return prepared(_problem(files, LARGE, SETUP, Placing()), blur=1.0)
@@ -432,7 +428,7 @@ def textured(folder, shown=HALF_TURNED, stated=HALF_TURNED, **lies) -> _Problem:
 
 def test_rows_of_a_texture_are_what_texels_show_and_what_that_changes_by(tmp_path):
     problem = textured(tmp_path)
-    rows = _textures(problem)
+    rows = linearised_textures(problem)
     assert [row.change.shape for row in rows] == [(60 * 48, 3, COUNT + 2)] * 2
     # Texels at the rim of what is seen have no slope; of whole blocks the mean is that of their own texels.
     said = np.all([row.weight > 0 for row in rows], axis=0)
@@ -448,14 +444,14 @@ def test_rows_of_a_texture_are_what_texels_show_and_what_that_changes_by(tmp_pat
     for column, step in ((0, 0.2), (1, 0.2), (5, 0.2), (6, 2.0), (CAMERA, 0.5)):
         values = problem.unknowns.copy()
         values[column] += step
-        after = _textures(replace(problem, unknowns=values))
+        after = linearised_textures(replace(problem, unknowns=values))
         for number in (0, 1):
             expected = rows[number].change[inner][..., column] * step
             assert np.std(changed(after, number) - expected) < 0.15 * np.std(expected)
     for axis in (0, 1):  # of a photograph on its own
         view = problem.views[0]
         view.picture = replace(view.picture, corner=view.picture.corner - 0.2 * np.eye(2)[axis])
-        after = _textures(problem)
+        after = linearised_textures(problem)
         view.picture = replace(view.picture, corner=view.picture.corner + 0.2 * np.eye(2)[axis])
         expected = rows[0].change[inner][..., COUNT + axis] * 0.2
         assert np.std(changed(after, 0) - expected) < 0.15 * np.std(expected)
@@ -479,7 +475,7 @@ def test_normal_equations_of_textures_are_those_whose_colours_are_unknowns_too()
     rows, _ = rows_of(7)
     size, bands = COUNT + len(rows), 2
     matrix, right = np.zeros((size, size)), np.zeros(size)
-    _add_texture(rows, matrix, right)
+    add_texture(rows, matrix, right)
     lines, values = [], []
     seen = np.sum([row.weight > 0 for row in rows], axis=0)
     for view, row in enumerate(rows):
@@ -510,7 +506,7 @@ def test_highlights_have_no_say_in_where_a_texture_lies():
     spoilt[::20] += 2.0
     rows[0] = rows[0]._replace(value=spoilt)
     matrix, right = np.zeros((COUNT + 3,) * 2), np.zeros(COUNT + 3)
-    _add_texture(rows, matrix, right)
+    add_texture(rows, matrix, right)
     ridge = 1e-6 * np.diag(np.diag(matrix))  # the cameras' own angles together are every camera angle
     found = np.linalg.solve(matrix + ridge, right)
     free = [number for number in range(COUNT) if number != CAMERA]
@@ -523,7 +519,7 @@ def test_what_scatters_more_tells_less():
         rng = np.random.default_rng(10)
         rows = [row._replace(value=row.value + scatter * rng.normal(size=row.value.shape)) for row in rows]
         matrix = np.zeros((COUNT + 3,) * 2)
-        _add_texture(rows, matrix, np.zeros(COUNT + 3))
+        add_texture(rows, matrix, np.zeros(COUNT + 3))
         return matrix[0, 0]
 
     assert information(0.1) / information(0.2) == pytest.approx(4.0, rel=0.02)
@@ -534,7 +530,7 @@ def test_textures_that_no_two_photographs_show_say_nothing():
     rows, _ = rows_of(11)
     apart = [row._replace(weight=np.where(np.arange(40) % 3 == view, 1.0, 0.0)) for view, row in enumerate(rows)]
     matrix, right = np.zeros((COUNT + 3,) * 2), np.zeros(COUNT + 3)
-    _add_texture(apart, matrix, right)
+    add_texture(apart, matrix, right)
     assert not matrix.any() and not right.any()
 
 
@@ -552,7 +548,7 @@ def test_photographs_that_contradict_each_other_tell_less(tmp_path, size_mm):
         problem = _problem(files, PLATE if size_mm == (60.0, 50.0) else LARGE, SETUP, Placing())
         matrix = _descend(problem, 4.0, 6)
         _weigh(problem, matrix)
-        return matrix, _equations(problem, 4.0)[0], problem.sigma
+        return matrix, equations(problem, 4.0)[0], problem.sigma
 
     alike, contradicting = told(0.0), told(0.15)
     for matrix, found, sigma in (alike, contradicting):
@@ -633,7 +629,7 @@ def test_the_angle_that_explains_a_photograph_best_is_named(angle, named, by):
     typed = Pose(45.0, 40.0, 20.0, 30.0)
     true = replace(typed, **{angle: getattr(typed, angle) + by})
     problem = problem_without_pictures(Plate(60.0, 50.0), [Pose(45.0, 0.0), typed])
-    view, other = problem.views[1], _View(true)
+    view, other = problem.views[1], View(true)
     rng = np.random.default_rng(14)
     view.rim = problem.texels.position[rng.integers(0, 480, 60)]
     direction = rng.uniform(0.0, 2.0 * math.pi, 60)
@@ -699,7 +695,7 @@ def test_a_photographs_residual_is_how_far_it_shows_the_object_from_the_others(t
     (tmp_path / "moved").mkdir()
     moved = drawn(tmp_path / "moved", correction(x_mm=3.0), poses[2:], poses[2:], contrast=0.0)
     problem = prepared(_problem([*files[:2], *moved], PLATE, SETUP, Placing()))
-    residual, points, _ = _residuals(problem, 10.0)
+    residual, points, _ = pose_residuals(problem, 10.0)
     assert (points > 100).all()
     np.testing.assert_allclose(residual[:2], 0.0, atol=0.02)
     # Of the sides across its way all points are off by 3 mm, of those along it none.
@@ -721,7 +717,7 @@ def test_a_round_object_is_judged_by_its_outline_alone(tmp_path):
     ball = TexturedObject.of({"shape": {"kind": "sphere", "radius_mm": 20.0}, "texels": {"width": 48, "height": 24}})
     files = [silhouette(tmp_path, f"{n}.h5", at) for n, at in enumerate([(0, 0, 0), (0, 0, 0), (3.0, 0, 0)])]
     problem = prepared(_problem(files, ball, SETUP, Placing()))
-    residual, points, suspects = _residuals(problem, 10.0)
+    residual, points, suspects = pose_residuals(problem, 10.0)
     # A disc is no matt ball with gloss: it is found almost, not quite, where it is.
     assert (points > 50).all() and residual[:2].max() < 0.06
     # Only the lit part of the outline counts, which lies along the way.
@@ -731,7 +727,7 @@ def test_a_round_object_is_judged_by_its_outline_alone(tmp_path):
     # Where any paint could lie just inside the outline, it judges nobody.
     for view in problem.views:
         view.inner = view.inner._replace(unsure=np.full(view.inner.light.shape, 2.0))
-    residual, points, _ = _residuals(problem, 10.0)
+    residual, points, _ = pose_residuals(problem, 10.0)
     assert (points > 50).all() and np.isnan(residual).all()
 
 
@@ -753,7 +749,7 @@ def test_of_a_texture_without_outline_the_residual_is_its_shift(tmp_path):
     files = drawn(tmp_path, Correction(), poses, poses, (130.0, 104.0))
     moved = drawn(tmp_path / "moved", correction(x_mm=0.6, y_mm=0.3), poses[2:], poses[2:], (130.0, 104.0))
     problem = prepared(_problem([*files[:2], *moved], LARGE, SETUP, Placing()), blur=1.5)
-    residual, points, suspects = _residuals(problem, 10.0)
+    residual, points, suspects = pose_residuals(problem, 10.0)
     assert not points.any()
     assert residual[2] == pytest.approx(math.hypot(0.6, 0.3) / MM_PER_PX, rel=0.1)
     assert residual[:2].max() < 0.6 * residual[2] and len(suspects) == 3
@@ -785,9 +781,9 @@ def test_points_of_an_outline_share_their_doubt_with_a_side_and_with_photographs
     problem = problem_without_pictures(Plate(60.0, 50.0), poses)
     for count in (3, 40):
         doubt = np.linspace(0.0, 0.8, count)
-        outline = _Outline(np.zeros(count), doubt, np.zeros((count, COUNT)), np.ones(count, dtype=bool))
+        outline = Outline(np.zeros(count), doubt, np.zeros((count, COUNT)), np.ones(count, dtype=bool))
         for number, alike in ((0, 2), (1, 2), (2, 1)):
-            found = _outline_variance(problem, number, outline, 0.3)
+            found = outline_variance(problem, number, outline, 0.3)
             # Five neighbouring points err as one; four sides of an object err each by itself.
             expected = 5.0 * 0.3 * 0.3 + doubt * doubt * max(1.0, count / 4.0) * alike
             np.testing.assert_allclose(found, expected, rtol=1e-12)
