@@ -9,6 +9,7 @@ is done before. Small: 160 x 120 px in a light 256 px wide.
 """
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -41,8 +42,8 @@ SIZES = {
 }
 
 
-def scenes(studio: Studio) -> dict[str, SceneParts]:
-    """Return the scenes by name."""
+def scenes(studio: Studio) -> dict[str, Callable[[], SceneParts]]:
+    """Return what makes the scenes, by name: light maps are baked only for those that are measured."""
     objects, room = studio.objects, studio.environment
     room = Environment(np.asarray(room.coefficients, dtype=np.float32), room.basis, room.irradiance)
     matte, mirrors = objects.texels.copy(), objects.texels.copy()
@@ -61,10 +62,10 @@ def scenes(studio: Studio) -> dict[str, SceneParts]:
         return SceneParts(objects, room, studio.tracer, *lamps, white, maps)
 
     return {
-        "still-life": parts(objects, room),
-        "matte": parts(of_matte, room),
-        "mirrors": parts(of_mirrors, room),
-        "one-lamp": parts(objects, black, lights, lamp, upward_radiance(made)),
+        "still-life": partial(parts, objects, room),
+        "matte": partial(parts, of_matte, room),
+        "mirrors": partial(parts, of_mirrors, room),
+        "one-lamp": partial(parts, objects, black, lights, lamp, upward_radiance(made)),
     }
 
 
@@ -147,9 +148,9 @@ def main() -> None:
             make_inputs(arguments.environment, folder)
         studio = Studio(folder, arguments.width, arguments.height)
         rows = []
-        for name, parts in scenes(studio).items():
+        for name, make in scenes(studio).items():
             if not arguments.scenes or name in arguments.scenes:
-                rows += measure_scene(name, parts, studio, arguments)
+                rows += measure_scene(name, make(), studio, arguments)
         report(rows, arguments.threads, arguments.output)
 
 

@@ -10,11 +10,11 @@ the shortest first and one case of each before a second, and ends at the first t
 the test that noticed it or as a survivor, and how many of each room were noticed; the exit status is 1 where too few of
 all were (``--least``).
 
-Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
-loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would notice counts as a
-survivor. Times are those of the processor, whoever else uses it. A mutant that never ends is noticed: a test computes
-for ten times as long as it should and for `PATIENCE_S`, or its process hardly computes for `QUIET_S`. So a run
-ends; a test that takes `HANGS_S` without a mutant ends it.
+Only the tests of a room's own files are asked (`ROOMS`), of these only those of a default run, such as take less than
+`LONGEST_S` once their loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would
+notice counts as a survivor. Times are those of the processor, whoever else uses it. A mutant that never ends is
+noticed: a test computes for ten times as long as it should and for `PATIENCE_S`, or its process hardly computes for
+`QUIET_S`. So a run ends; a test that takes `HANGS_S` without a mutant ends it.
 """
 
 import argparse
@@ -52,6 +52,8 @@ import pytest  # noqa: E402
 from mutants import Mutant, compiled, marked, mutants_of, mutated  # noqa: E402
 from scipy.stats import binomtest  # noqa: E402
 from sequential import is_told  # noqa: E402
+
+from irodori.core.provenance import local_sources  # noqa: E402
 
 #: Room of the package -> its modules (folders or files under irodori/) and the files of its tests (under tests/).
 ROOMS = {
@@ -115,6 +117,8 @@ QUIET_S = 30.0
 QUIET_SHARE = 0.1
 HANGS_S = 1500.0
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
+#: Modules that keep a device or threads, which a forked process has to make for itself.
+_OF_A_PROCESS = ("irodori.geometry.embree", "irodori.jit.chunks")
 
 
 @dataclass
@@ -187,7 +191,6 @@ class Runner:
         begun = time.process_time()
         self._run_unspoilt(session.items)
         gc.unfreeze()  # the settings of all tests have hidden from here what there was when tests were collected
-        # What was computed once for all is computed anew in every process, by its mutant.
         self._caches = [one for one in gc.get_objects() if isinstance(one, functools._lru_cache_wrapper)]
         self._caches = [one for one in self._caches if str(one.__module__).startswith("irodori.")]
         gc.freeze()
@@ -237,6 +240,15 @@ class Runner:
                 yield functools.partial(setattr, function, "__code__", function.__code__)
                 function.__code__ = code
 
+    def _forgetting(self, module: str) -> list:
+        """Return the caches whose values may be those of a module's functions, by what their modules import.
+
+        All others keep what is the same with every mutant of the module: hashes of sources, schemas, spectra.
+        """
+        kept_by = {cache.__module__ for cache in self._caches}
+        touched = {name for name in kept_by if name in _OF_A_PROCESS or module in local_sources(name)}
+        return [cache for cache in self._caches if cache.__module__ in touched]
+
     def _try(self, mutant: Mutant) -> tuple[bool, str]:
         """Return whether a test noticed a mutant, and in words which one, or how it survived."""
         tests = sorted(self._baseline.over.get((mutant.module, mutant.first), ()))
@@ -244,7 +256,7 @@ class Runner:
         found = _found(mutant.module, mutant.function, mutated(mutant, path), path)
         if not tests or found is None:
             return False, "SURVIVED, for no test passes over it" if found else "SURVIVED, for it cannot be made"
-        put = functools.partial(setattr, found[0], "__code__", found[1])
+        put = functools.partial(_put, *found, self._forgetting(mutant.module))
         seconds = self._baseline.seconds
         quick = [name for name in tests if seconds[name] <= LONGEST_S]
         found = self._ask(mutant, quick, put)
@@ -295,8 +307,6 @@ class Runner:
             if not child:
                 end_with(parent)
                 _silence()
-                for cache in self._caches:
-                    cache.cache_clear()
                 put()
                 for number, (name, following) in enumerate(zip(tests, [*tests[1:], None], strict=True)):
                     os.pwrite(file.fileno(), pickle.dumps((number, False)), 0)
@@ -309,6 +319,13 @@ class Runner:
             _wait(child)
             number, passed = pickle.loads(os.pread(file.fileno(), 100, 0))
             return None if passed else tests[number]
+
+
+def _put(function: types.FunctionType, code: types.CodeType, caches: list) -> None:
+    """Let a function have other code, which then computes anew what was computed once for all."""
+    for cache in caches:
+        cache.cache_clear()
+    function.__code__ = code
 
 
 def end_with(parent: int) -> None:
@@ -438,7 +455,7 @@ def _score(noticed: int, tried: int) -> str:
 def _try_all(until_told: bool, room: str, mutants: list[Mutant]) -> list[bool] | None:
     """Return which mutants of a room were noticed; None where its tests do not run."""
     runner = Runner(room, mutants, until_told)
-    options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-o", "addopts=", "-m", "not heavy or default_cases"]
+    options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-o", "addopts=", "-m", "not heavy"]
     options += ["-k", f"not ({' or '.join(LONG)})"]
     status = pytest.main([*options, *(f"tests/{f}" for f in ROOMS[room][1])], plugins=[runner])
     if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED) or not runner.ended:

@@ -24,10 +24,10 @@ from irodori.config.parts import PhotographedObject
 
 
 class Killable:
-    """The forking process, from the side of the test."""
+    """The forking process, from the side of the tests; ``motion`` may change from session to session."""
 
-    def __init__(self, motion: bool, slow_s: float) -> None:
-        self.motion, self.slow_s = motion, slow_s
+    def __init__(self, slow_s: float) -> None:
+        self.motion, self.slow_s = False, slow_s
         path = os.pathsep.join([str(ROOT), str(ROOT / "tests"), str(ROOT / "tests/rig")])
         self._process = subprocess.Popen(
             [sys.executable, "-W", "error", __file__], env={**os.environ, "PYTHONPATH": path},
@@ -54,7 +54,7 @@ class Killable:
         begun, ended = time.monotonic(), threading.Event()
 
         def kill() -> None:
-            while len(list(folder.glob("*.dng"))) < photographs and not ended.wait(0.002):
+            while len(list(folder.glob("*.dng"))) < photographs and not ended.wait(0.005):
                 pass
             if not ended.wait(kill_after_s):
                 os.kill(pid, 9)

@@ -27,7 +27,7 @@ from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
 
 WIDTH, HEIGHT = 240, 180  # a third of the default run's, for the sake of time
-COUNT, POSES = 50, 4
+COUNT, POSES = 50, 3
 OPTIONS = IngestOptions()
 
 

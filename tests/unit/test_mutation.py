@@ -133,6 +133,18 @@ def test_a_module_that_tests_import_is_among_what_the_tests_of_its_room_import()
         assert set(run.modules_of(room)) & all_of <= own, room
 
 
+def test_a_mutant_computes_anew_what_it_may_change_and_what_belongs_to_a_process():
+    from irodori.config import validation
+    from irodori.geometry import embree
+    from irodori.light import irradiance
+    from irodori.rendering.interactive import round_lobes
+
+    runner = loaded("run").Runner("light", [], False)
+    runner._caches = [validation.load_schema, embree._device, round_lobes._reflectance]
+    assert runner._forgetting(irradiance.__name__) == [embree._device, round_lobes._reflectance]
+    assert runner._forgetting(validation.__name__)[0] is validation.load_schema
+
+
 def verdicts(share: float, is_told) -> tuple[float, float]:
     """Return how often a sample of tests that notice a share fails, and how many mutants it takes, both exactly."""
     failed, taken, going = 0.0, 0.0, {0: 1.0}  # noticed -> probability

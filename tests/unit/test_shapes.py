@@ -123,9 +123,11 @@ def test_the_kernels_that_loops_choose_among_are_those_of_the_interface():
 # --- a shape from outside --------------------------------------------------------------------------------------------
 
 
-def tube(folder: Path, *parts: str) -> dict[str, dict]:
-    """What `tube_everywhere` finds of some parts in a process in which the tube is registered."""
-    output, here = folder / "found.npz", Path(__file__).parent
+@pytest.fixture(scope="module")
+def everywhere(tmp_path_factory) -> dict[str, dict]:
+    """What `tube_everywhere` finds in a process in which the tube is registered; both integrators are compiled anew."""
+    output, here = tmp_path_factory.mktemp("tube") / "found.npz", Path(__file__).parent
+    parts = ["traced", "rectified", "reference", "interactive"]
     command = [sys.executable, "-W", "error", here / "tube_everywhere.py", output, *parts]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(here.parent), str(here)])}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
@@ -134,20 +136,9 @@ def tube(folder: Path, *parts: str) -> dict[str, dict]:
         return {part: {key.split()[1]: found[key] for key in found if key.startswith(f"{part} ")} for part in parts}
 
 
-@pytest.fixture(scope="module")
-def measured(tmp_path_factory) -> dict[str, dict]:
-    return tube(tmp_path_factory.mktemp("measured"), "traced", "rectified")
-
-
-@pytest.fixture(scope="module")
-def rendered(tmp_path_factory) -> dict[str, dict]:
-    """Both integrators are compiled anew with the tube among the shapes."""
-    return tube(tmp_path_factory.mktemp("rendered"), "reference", "interactive")
-
-
 @pytest.mark.heavy
-def test_a_shape_from_outside_is_traced_exactly(measured):
-    found = measured["traced"]
+def test_a_shape_from_outside_is_traced_exactly(everywhere):
+    found = everywhere["traced"]
     assert [*found["variants"]] == ["plate", "sphere", "mesh", "tube"]
     hit = found["hit"] == 0
     assert 0.2 < hit.mean() < 0.9
@@ -162,8 +153,8 @@ def test_a_shape_from_outside_is_traced_exactly(measured):
 
 
 @pytest.mark.heavy
-def test_a_shape_from_outside_is_rectified(measured):
-    found = measured["rectified"]
+def test_a_shape_from_outside_is_rectified(everywhere):
+    found = everywhere["rectified"]
     x, y = found["pixel"].T
     expected = np.stack([x / 512, y / 512, (3 * x - 2 * y) / 512], axis=1)
     seen = found["weight"][:, 0] > 0
@@ -175,8 +166,8 @@ def test_a_shape_from_outside_is_rectified(measured):
 
 @pytest.mark.heavy
 @pytest.mark.parametrize(("integrator", "tolerance"), [("reference", 0.03), ("interactive", 0.004)])
-def test_a_shape_from_outside_is_rendered(rendered, integrator, tolerance):
-    found = rendered[integrator]
+def test_a_shape_from_outside_is_rendered(everywhere, integrator, tolerance):
+    found = everywhere[integrator]
     ray = pixel_rays((0.0, -300.0, 0.0), (0.0, 0.0, 0.0), (32, 32), 8.0)
     a, b = np.sum(ray[..., :2] ** 2, axis=-1), -300.0 * ray[..., 1]
     with np.errstate(invalid="ignore"):
@@ -192,6 +183,11 @@ def test_a_shape_from_outside_is_rendered(rendered, integrator, tolerance):
     leaks = np.abs(found["furnace"] - 1.0) > 0.02
     assert leaks.mean() < (0.01 if integrator == "interactive" else 1e-9)
     assert found["furnace"].mean() == pytest.approx(1.0, abs=0.002)
+    if integrator == "reference":  # the texels in which paths end lie all over it, and nowhere else
+        point, normal = np.moveaxis(found["texels"], 1, 0)
+        assert len(point) > 500 and np.hypot(*point[:, :2].T) == pytest.approx(20.0, abs=0.01)
+        assert normal == pytest.approx(point * [0.05, 0.05, 0.0], abs=1e-3)
+        assert np.abs(point.mean(axis=0)).max() < 0.01 and 28.0 < np.abs(point[:, 2]).max() < 30.0
     # A black tube on a grey floor has a contact shadow, by paths and by light maps.
     shadow, alone = found["shadow"], found["alone"]
     floor = shadow > 1e-3

@@ -28,7 +28,7 @@ from irodori.geometry.shapes.placement import Placement  # noqa: E402
 from irodori.geometry.shapes.shape import Shape  # noqa: E402
 from irodori.geometry.surfaces import face_viewer, make_surfaces, surface_at  # noqa: E402
 from irodori.jit.compilation import njit  # noqa: E402
-from irodori.rendering.reference import baking  # noqa: E402
+from irodori.rendering.reference import baking, filling_cache  # noqa: E402
 
 BLOCK = {"kind": "tube", "radius_mm": 20.0, "height_mm": 60.0}
 
@@ -102,13 +102,22 @@ def rendered(integrator: str) -> dict:
     """Pictures of the tube under a smooth sky, in a white furnace on a floor, and of the floor alone, all of them grey.
 
     `interactive` is asked for XYZ: the loop for 61 bands takes twice as long to compile. The error that its light maps
-    state is not measured: the paths from their texels would be one more loop to compile.
+    state is not measured: the paths from their texels would be one more loop to compile. Nor does `reference` trace the
+    paths that fill its cache: in the furnace, where the light is the same everywhere, the cache is filled with that.
     """
     baking._error = lambda *_: 0.0
+    cached = []
+
+    def light_of_furnace(scene, places, *_):
+        cached.append(places)
+        return np.ones_like(places.halves)
+
+    filling_cache.gathering_loop, filling_cache.light_at = lambda *_: None, light_of_furnace
     shape, grey, white = Shape.from_definition(typed(ObjectShape, BLOCK)), material(0.5), material(1.0)
     kind, white_light = {"kind": "interactive", "light_maps": True}, np.ones(61)
     if integrator == "reference":
-        kind, white_light = {"kind": "reference", "samples": 256, "seed": 0}, None
+        kind, white_light = {"kind": "reference", "samples": 256, "seed": 0, "cache": False}, None
+    furnace = kind | {"cache": True} if integrator == "reference" else kind
 
     def level(*scene, **view):
         found = seen(*scene, **view, white=white_light)
@@ -116,11 +125,14 @@ def rendered(integrator: str) -> dict:
 
     light = sky(lambda towards: smooth_light(towards)[..., None])
     tube = level([shape], [grey], [(0.0, 0.0, 0.0)], kind, light, **VIEW)
-    both = level([plate(400.0), shape], [white, white], [(0.0, 0.0, -30.0), (0.0, 0.0, 0.0)], kind, **FLOOR_VIEW)
+    both = level([plate(400.0), shape], [white, white], [(0.0, 0.0, -30.0), (0.0, 0.0, 0.0)], furnace, **FLOOR_VIEW)
     dark = [material(0.5), material(0.0)]
     shadow = level([plate(400.0), shape], dark, [(0.0, 0.0, -30.0), (0.0, 0.0, 0.0)], kind, **FLOOR_VIEW)
     alone = level([plate(400.0)], dark[:1], [(0.0, 0.0, -30.0)], kind, **FLOOR_VIEW)
-    return {"tube": tube, "furnace": both, "shadow": shadow, "alone": alone}
+    found = {"tube": tube, "furnace": both, "shadow": shadow, "alone": alone}
+    if cached:
+        found["texels"] = np.stack([cached[0].point, cached[0].normal], axis=1)[cached[0].surface == 1]
+    return found
 
 
 PARTS = {
