@@ -60,11 +60,11 @@ def gold() -> Material:
 def write_mesh(path: Path, rings: int, segments: int) -> Path:
     """Write a ball of triangles as OBJ."""
     corners, uv = ball(20.0, rings, segments)
-    points = corners.reshape(-1, 3)
-    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in points]
-    lines += [f"vt {u:.6f} {v:.6f}" for u, v in uv.reshape(-1, 2)]
-    lines += [f"f {3 * i + 1}/{3 * i + 1} {3 * i + 2}/{3 * i + 2} {3 * i + 3}/{3 * i + 3}" for i in range(len(corners))]
-    path.write_text("\n".join(lines), encoding="utf-8")
+    numbers = np.repeat(np.arange(1, 3 * len(corners) + 1), 2)
+    # A format for all lines at once: line by line, a hundred thousand triangles take a second.
+    parts = (("v %.6f %.6f %.6f\n", corners, 3), ("vt %.6f %.6f\n", uv, 2), ("f %d/%d %d/%d %d/%d\n", numbers, 6))
+    lines = [line * (values.size // count) % tuple(values.ravel().tolist()) for line, values, count in parts]
+    path.write_text("".join(lines), encoding="utf-8")
     return path
 
 

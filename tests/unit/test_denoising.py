@@ -79,7 +79,7 @@ def test_a_texture_is_followed_and_one_without_noise_is_left_as_it_is():
     clean, noisy = plane(truth, 0.0), plane(truth, 0.1)
     for halves in (clean, noisy):
         halves.seen[..., ALBEDO:NORMAL] = albedo
-    assert denoise(clean).radiance == pytest.approx(clean.mean, rel=1e-5)
+    np.testing.assert_allclose(denoise(clean).radiance, clean.mean, rtol=1e-5)
     assert off(denoise(noisy).radiance, truth) < 0.6 * off(noisy.mean, truth)
 
 
@@ -115,7 +115,7 @@ def test_a_band_of_rows_with_its_margin_is_that_of_the_whole():
     assert np.array_equal(part, whole[:, 13:40])
     cut = Halves(*(array[13 - MARGIN : 40 + MARGIN] for array in halves))
     # The noise is averaged over a little more than the margin, and the level of darkness is the band's own.
-    assert filtered_halves(cut, make_guides(cut), (MARGIN, MARGIN + 27)) == pytest.approx(part, rel=0.1)
+    np.testing.assert_allclose(filtered_halves(cut, make_guides(cut), (MARGIN, MARGIN + 27)), part, rtol=0.1)
 
 
 @settings(max_examples=20, deadline=None)
@@ -137,7 +137,7 @@ def test_a_filtered_picture_is_as_near_to_many_paths_as_four_times_its_paths_are
     shapes, materials = [ball(30.0), ball(15.0)], [material(0.6), material(0.3, beta=4.0, mu=0.15)]
     arguments = {"places": [(0, 0, 0), (25, -30, 10)], "size": (64, 64), "fov": 24.0, "replicates": 2}
     light = smooth_sky(64, 32)
-    truth = traced(shapes, materials, light, 4096, **arguments, seed=9).radiance
+    truth = traced(shapes, materials, light, 2048, **arguments, seed=9).radiance
     few, more = (traced(shapes, materials, light, samples, **arguments, halves=True) for samples in (16, 64))
     made = denoise(few.halves)
     assert np.array_equal(few.halves.mean, few.radiance)

@@ -29,7 +29,7 @@ from irodori.viewer.measured import frame_bands, prepared
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import page_html
 from irodori.viewer.payload import read_payload
-from irodori.viewer.stage import checks, encode_viewer, export_viewer, finish_viewer
+from irodori.viewer.stage import checks, export_viewer, finish_viewer
 from irodori.viewer.viewer_command import payload_of
 
 pytestmark = pytest.mark.skipif(
@@ -288,21 +288,27 @@ def test_a_room_without_some_wavelengths_says_what_an_exchanged_light_lacks(tmp_
     assert missing == [[], [400, 405, 410, 415, 420], []]
 
 
+@pytest.fixture(scope="module")
+def exported(written, tmp_path_factory):
+    """The file of a page that was checked as it was written, and the errors that were returned."""
+    output = tmp_path_factory.mktemp("exported") / "viewer.html"
+    return output, export_viewer(written.sources, output=output)
+
+
 @pytest.mark.heavy
-def test_a_page_states_its_errors_and_its_own_check_agrees(tmp_path, capsys):
-    given = sources(tmp_path / "files", room())
-    errors = export_viewer(given, output=tmp_path / "viewer.html")
-    header, _ = read_payload(payload_of(tmp_path / "viewer.html"))
+def test_a_page_states_its_errors_and_its_own_check_agrees(exported, tmp_path, capsys):
+    output, errors = exported
+    header, _ = read_payload(payload_of(output))
     assert header["stated_errors"] == errors
     for name in ("data_loss", "cpu"):
         assert 0.0 < errors[name]["mean"] <= 0.1 and errors[name]["p99"] <= 0.3
-    with opened(tmp_path / "viewer.html") as page:
+    with opened(output) as page:
         rows = page.page.evaluate("Irodori.selftest(Irodori.renderer)")
         assert page.messages == []
     assert len(rows) == len(header["selftest"]) > 4
     assert max(row["mean"] for row in rows) <= 0.1
     # The command prints the header, with the planes' ranges, long lists told by their length; or says what it misses.
-    assert viewer_command.main(["test", "--inspect", "--output", str(tmp_path / "viewer.html")]) == 0
+    assert viewer_command.main(["test", "--inspect", "--output", str(output)]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["stated_errors"] == errors and printed["hashes"] == header["hashes"]
     assert printed["wavelength_nm"] == "61 entries" and printed["units"]["length"] == "mm"
@@ -312,9 +318,11 @@ def test_a_page_states_its_errors_and_its_own_check_agrees(tmp_path, capsys):
 
 
 @pytest.mark.heavy
-def test_a_page_encoded_before_its_picture_states_the_same_and_the_distance_to_the_picture(tmp_path, written):
+def test_a_page_encoded_before_its_picture_states_the_same_and_the_distance_to_the_picture(exported, tmp_path, written):
+    """What is encoded is what a page without a picture has."""
     given, payload, picture = written.sources, tmp_path / "viewer.payload", tmp_path / "front.exr"
-    encoded = encode_viewer(given, output=payload)
+    encoded = exported[1]
+    payload.write_text(payload_of(exported[0]), encoding="ascii")
     assert encoded["reference"] is None
     bands = frame_bands(written.scene, make_view(given.scene.views["front"], given.scene.image), written.data.parts)
     write_spectral_exr(picture, bands, bands[..., :3], {})

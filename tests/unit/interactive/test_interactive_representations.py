@@ -23,13 +23,34 @@ from studio import (
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_radiance
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import irradiance_at
+from irodori.rendering.interactive import frame_renderer
 from irodori.rendering.interactive.frame_renderer import render_frame
 from irodori.rendering.interactive.quadrature import Quadrature, solve_quadrature
+
+
+@pytest.fixture(autouse=True)
+def as_wide_as_coefficients(monkeypatch):
+    """Give ``rgb`` the sixteen lanes of ``coefficients``, whose loop it then shares; eight of them are empty."""
+    own = frame_renderer.rgb_channels
+    monkeypatch.setattr(frame_renderer, "rgb_channels", lambda *given: dataclasses.replace(own(*given), surface=16))
 
 
 def expected(radiance, representation, white):
     """What a representation returns of a radiance."""
     return radiance if representation == "spectral" else radiance @ xyz_from_radiance(white).T
+
+
+def nodes(representation, light) -> dict:
+    """Fourteen wavelengths whose sums are XYZ of one spectrum in any amount, for the representation that has them.
+
+    The fewer that would be solved for an even light have a loop of their own, and these that of a still life.
+    """
+    if representation != "quadrature":
+        return {}
+    samples, matrix = np.arange(3, 58, 4), xyz_from_radiance(light.upward_white())
+    some = matrix[:, samples]
+    level = (matrix @ spectrum_of()) / (some @ spectrum_of()[samples])
+    return {"quadrature": Quadrature(samples, level[:, None] * some, 0.0, 0.0)}
 
 
 @pytest.mark.stability(stage="render", case="white furnace")
@@ -38,7 +59,8 @@ def test_white_objects_vanish_in_an_even_light(representation):
     shapes, places = [plate(100.0), BALL, BALL], [(0, 0, 0), (-21, 0, 20), (21, 0, 20)]
     view = {"position": (0, -250, 120), "target": (0, 0, 12), "fov": 24, "size": (40, 32)}
     light = even_light()
-    found = picture(shapes, [material(1.0)] * 3, light, representation, view, places=places)
+    scene = {"places": places, **nodes(representation, light)}
+    found = picture(shapes, [material(1.0)] * 3, light, representation, view, **scene)
     truth = expected(spectrum_of(), representation, light.upward_white())
     assert np.abs(found / truth - 1).max() <= 1e-3
 
@@ -56,7 +78,8 @@ def test_a_perfect_diffuser_that_faces_up_is_white_where_all_light_comes_from_ab
 def test_a_mirror_that_reflects_everything_vanishes_too(representation):
     """Total reflection: a real index of next to nothing seen from air has |r| = 1 but for the smallest angles."""
     light = even_light()
-    found = picture([BALL], [material(mirror=1.0, n=0.001, k=50.0)], light, representation)
+    mirror, scene = material(mirror=1.0, n=0.001, k=50.0), nodes(representation, light)
+    found = picture([BALL], [mirror], light, representation, **scene)
     truth = expected(spectrum_of(), representation, light.upward_white())
     assert found.max() <= 1.001 * truth.max() and np.abs(found / truth - 1).max() <= 1e-3
 
@@ -70,7 +93,8 @@ def test_a_surface_sends_no_more_than_it_gets(representation):
     light = even_light()
     shapes, places = [plate(100.0), BALL, BALL], [(0, 0, 0), (-21, 0, 20), (21, 0, 20)]
     view = {"position": (0, -250, 120), "target": (0, 0, 12), "fov": 24, "size": (40, 32)}
-    found = picture(shapes, materials, light, representation, view, places=places, max_bounces=12)
+    scene = {"places": places, "max_bounces": 12, **nodes(representation, light)}
+    found = picture(shapes, materials, light, representation, view, **scene)
     truth = expected(spectrum_of(), representation, light.upward_white())
     assert (found <= 1.002 * truth).all() and (found >= 0).all()
 
@@ -176,8 +200,8 @@ def test_bands_agree_with_a_plain_loop():
         lambda n: BASIS @ np.array([2 + n[0], 1.5 - n[2], 1 + n[1] * n[0]]), 5, **view,
     )  # fmt: skip
     assert np.abs(found - truth).max() <= 1e-4 * truth.max()
-    # Six bands by the loop that the planner uses: their sums under three weights.
-    few = Quadrature(np.arange(5, 61, 10), np.random.default_rng(1).random((3, 6)), 0.0, 0.0)
+    # Some bands by the loop of a still life with coloured mirrors: their sums under three weights.
+    few = Quadrature(np.arange(3, 58, 4), np.random.default_rng(1).random((3, 14)), 0.0, 0.0)
     exact = picture(shapes, materials, light, "quadrature", view, places=places, white=white, least_throughput=0.0,
                     quadrature=few)  # fmt: skip
     sums = truth[..., few.samples] @ few.weights.T
@@ -199,6 +223,15 @@ def test_a_quadrature_takes_more_wavelengths_for_smaller_errors():
         )
         # Brightness aside, which the solution makes equal.
         assert np.isfinite(error).all() and error.mean() <= 5 * max(found.delta_e_mean, 0.02)
+
+
+def test_the_quadrature_of_an_even_light_has_its_brightness_and_colour():
+    """All spectra of the scene are one, so that weights have one degree of freedom in three."""
+    light = even_light()
+    matrix = xyz_from_radiance(light.upward_white())
+    for one in (material(1.0), material(mirror=1.0, n=0.001, k=50.0), material(0.5, mirror=0.3, n=1.5, k=2.0)):
+        found = prepared([BALL], [one], light, "quadrature").quadrature
+        assert found.weights @ spectrum_of()[found.samples] == pytest.approx(matrix @ spectrum_of(), rel=1e-3)
 
 
 def test_unknown_and_unfit_choices_are_refused():

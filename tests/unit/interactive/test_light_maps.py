@@ -1,5 +1,6 @@
 """Light maps: what path tracing finds on the objects' textures, and pictures of the interactive renderer with it."""
 
+import functools
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +31,7 @@ from irodori.light.irradiance import fitted_irradiance_map
 from irodori.light.light_files import rgb_picture
 from irodori.rendering import light_transfer
 from irodori.rendering.frame_state import STILL, turned_scene
-from irodori.rendering.integrators import _to_reference, make_renderer, render_image
+from irodori.rendering.integrators import _to_reference, make_renderer, render_image, render_prepared
 from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
 from irodori.rendering.light_maps import LightMaps, look_up
 from irodori.rendering.light_transfer import LightTransfer
@@ -114,9 +115,10 @@ def test_turned_by_any_angle_the_light_is_that_of_a_room_that_was_turned_by_hand
     def room(angle: float) -> Environment:
         return sky(lambda unit: smooth_light(unit @ rotation_z(np.radians(angle)))[..., None], 256, 128)
 
-    turned = LightTransfer(Tracer(there), objects, room(0.0)).light(room(0.0), 37.3, *no_lamps)[0]
-    made = LightTransfer(Tracer(there), objects, room(37.3)).light(room(37.3), 0.0, *no_lamps)[0]
-    still = LightTransfer(Tracer(there), objects, room(0.0)).light(room(0.0), 0.0, *no_lamps)[0]
+    standing, by_hand = room(0.0), room(37.3)
+    transfer = LightTransfer(Tracer(there), objects, standing)
+    turned, still = (transfer.light(standing, angle, *no_lamps)[0] for angle in (37.3, 0.0))
+    made = LightTransfer(Tracer(there), objects, by_hand).light(by_hand, 0.0, *no_lamps)[0]
     assert np.abs(turned - made).max() < 0.01 * made.mean() and np.abs(still - made).max() > 0.1 * made.mean()
 
 
@@ -155,22 +157,35 @@ def scene_of(integrator, lights=(), **more) -> Scene:
                         "integrator": integrator, "lights": list(lights), **more})  # fmt: skip
 
 
-def shown(integrator, lights=(), maps_file=None):
-    materials = [material(one) for one in COLOURED]
-    scene = scene_of(integrator, lights)
-    return render_image(scene, "v", SHAPES, materials, LIGHT, OPTIONS, distance=True, maps_file=maps_file)[1]
-
-
 MAPS, BARE = ({"kind": "interactive", "light_maps": maps} for maps in (True, False))
 LAMP = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 40.0, "irradiance": 2.0}
+PATHS = {"kind": "reference", "samples": 256, "denoise": False}
+
+
+def dull(kind: str, lit: bool = False, **options):
+    """Return a new renderer ``maps``, ``bare`` or ``paths`` of two coloured objects, perhaps lit by a lamp as well."""
+    scene = scene_of({"maps": MAPS, "bare": BARE, "paths": PATHS}[kind], [LAMP] if lit else [])
+    found = make_renderer(scene, SHAPES, [material(one) for one in COLOURED], LIGHT, OPTIONS, **options)
+    if kind == "maps" and not options:
+        found.baked, found.transfer = light_on_dull(lit)
+    return found
+
+
+@functools.cache
+def light_on_dull(lit: bool) -> tuple:
+    """Return the light maps and the transfer of light of all renderers ``maps``: to make them takes longest."""
+    first = dull("maps", lit, maps_file=None)
+    return first.baked, first.transfer
 
 
 @pytest.mark.default_cases(1)
-@pytest.mark.parametrize("lights", [(), (LAMP,)], ids=["sky", "sky and a lamp"])
-def test_with_light_maps_a_picture_of_dull_objects_is_near_the_path_traced_one(lights):
+@pytest.mark.parametrize("lit", [False, True], ids=["sky", "sky and a lamp"])
+def test_with_light_maps_a_picture_of_dull_objects_is_near_the_path_traced_one(lit):
     """Shadows, light between coloured objects, and that of a lamp that others reflect; nothing is counted twice."""
-    far = {name: shown(integrator, lights)["delta_e_to_reference"]["mean"] for name, integrator in {
-        "maps": MAPS, "bare": BARE}.items()}  # fmt: skip
+    far = {
+        name: render_prepared(dull(name, lit), "v", distance=True)[1]["delta_e_to_reference"]["mean"]
+        for name in ("maps", "bare")
+    }
     assert far["maps"] < 0.5 and far["maps"] < 0.4 * far["bare"]
 
 
@@ -194,9 +209,9 @@ def test_with_light_maps_a_mesh_on_an_endless_plane_is_near_the_path_traced_pict
 
 @pytest.mark.heavy
 def test_products_of_light_and_surface_show_what_the_bands_show_with_light_maps():
-    materials, scene = [material(one) for one in COLOURED], scene_of(MAPS)
-    white = LIGHT.upward_white()
-    bands, products = (make_renderer(scene, SHAPES, materials, LIGHT, OPTIONS, w) for w in (None, white))
+    white, bands = LIGHT.upward_white(), dull("maps")
+    products = dull("maps", white=white)
+    products.baked = bands.baked
     matrix = xyz_from_radiance(white)
     (spectral, _), (xyz, figures) = bands.picture("v"), products.picture("v")
     assert figures["representation"] == "coefficients" and figures["light_maps"]
@@ -213,38 +228,32 @@ TURNED = STILL._replace(environment_deg=70.0)
 
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
-    ("moment", "lights"),
+    ("moment", "lit"),
     [
-        (REDDISH, ()),
-        (TURNED, ()),
-        (STILL._replace(objects_deg=130.0), (LAMP,)),
-        (STILL._replace(lights_deg=200.0, environment_deg=-90.0, filter=REDDISH.filter), (LAMP,)),
+        (REDDISH, False),
+        (TURNED, False),
+        (STILL._replace(objects_deg=130.0), True),
+        (STILL._replace(lights_deg=200.0, environment_deg=-90.0, filter=REDDISH.filter), True),
     ],
     ids=["another colour", "turned light", "turned objects", "lamp and coloured light turned"],
 )
-def test_maps_show_other_colours_turned_light_and_other_sides_as_path_tracing_does(moment, lights):
+def test_maps_show_other_colours_turned_light_and_other_sides_as_path_tracing_does(moment, lit):
     """Against paths, nearer than without shadows."""
-    materials = [material(one) for one in COLOURED]
-    seen = {
-        name: make_renderer(scene_of(integrator, lights), SHAPES, materials, LIGHT, OPTIONS).picture("v", moment)[0]
-        for name, integrator in (("maps", MAPS), ("bare", BARE),
-                                 ("paths", {"kind": "reference", "samples": 256, "denoise": False}))
-    }  # fmt: skip
-    white = scene_white(scene_of(MAPS, lights), LIGHT)[0] * (1.0 if moment.filter is None else np.array(moment.filter))
+    seen = {name: dull(name, lit).picture("v", moment)[0] for name in ("maps", "bare", "paths")}
+    white = scene_white(dull("maps", lit).scene, LIGHT)[0] * (1.0 if moment.filter is None else np.array(moment.filter))
     matrix = xyz_from_radiance(white)
     lab = {name: lab_from_xyz(picture @ matrix.T, matrix @ white) for name, picture in seen.items()}
     far = {name: delta_e(lab[name], lab["paths"]).mean() for name in ("maps", "bare")}
     # A lamp's hard shadow has an edge that four rays a pixel resolve coarsely.
-    assert far["maps"] < (0.9 if lights else 0.7) and far["maps"] < 0.6 * far["bare"]
+    assert far["maps"] < (0.9 if lit else 0.7) and far["maps"] < 0.6 * far["bare"]
 
 
 @pytest.mark.stability(stage="render", case="light maps whose object moved")
 def test_maps_of_a_scene_whose_object_was_moved_are_refused_by_name(tmp_path):
-    materials = [material(one) for one in COLOURED]
-    renderer = make_renderer(scene_of(MAPS), SHAPES, materials, LIGHT, OPTIONS)
+    materials, renderer = [material(one) for one in COLOURED], dull("maps")
     path = tmp_path / "light-maps.h5"
     renderer.baked.save(path, store.Provenance("test"))
-    stored = make_renderer(scene_of(MAPS), SHAPES, materials, LIGHT, OPTIONS, maps_file=path)
+    stored = dull("maps", maps_file=path)
     assert np.array_equal(stored.picture("v")[0], renderer.picture("v")[0])
     moved = scene_of(MAPS)
     item = replace(moved.objects[1], position_mm=(1.0, 0.0, 20.1))
@@ -294,16 +303,23 @@ def test_under_a_black_ball_an_endless_plane_is_dark_by_the_ball_s_form_factor_n
         assert np.abs(found - wanted)[beside].mean() < 0.01 and np.abs(found - wanted)[beside].max() < 0.05
 
 
+def lit_ball(shape) -> np.ndarray:
+    """Return what is seen from above of a ball over a table, but for its rim."""
+    there = [placements()[0], replace(placements()[1], shape=shape)]
+    found, x, y = seen_from_above(there, (0.3, 0.8), LIGHT, span_mm=50.0, size=48)
+    return found[np.hypot(x, y) < 17.0]
+
+
+@functools.cache
+def exact_ball() -> np.ndarray:
+    return lit_ball(BALL)
+
+
 @pytest.mark.heavy
 @pytest.mark.parametrize("mesh", [octahedron(20.0, 3), BALL.facetted(1.0)], ids=["512 triangles", "16256"])
 def test_a_ball_of_triangles_has_the_light_of_an_exact_ball(mesh):
     """Large triangles are divided for texels; where they are small, their corners are texels."""
-    seen = []
-    for shape in (BALL, TriangleMesh(mesh)):
-        there = [placements()[0], replace(placements()[1], shape=shape)]
-        found, x, y = seen_from_above(there, (0.3, 0.8), LIGHT, span_mm=50.0, size=48)
-        seen.append(found[np.hypot(x, y) < 17.0])
-    assert np.abs(seen[1] / seen[0] - 1.0).mean() < 0.02
+    assert np.abs(lit_ball(TriangleMesh(mesh)) / exact_ball() - 1.0).mean() < 0.02
 
 
 @pytest.mark.parametrize("parts", [1, 2, 7, 40])
@@ -325,13 +341,9 @@ def test_a_hit_at_or_just_beyond_a_triangles_edge_has_its_nodes_within_the_trian
 @pytest.mark.heavy
 def test_of_a_mesh_of_many_corners_some_are_traced_and_all_have_light(monkeypatch):
     """Light is spread from a quarter of the corners of a fine ball: the picture is that of an exact ball."""
-    seen = []
+    exact = exact_ball()
     monkeypatch.setattr(light_transfer, "_MOST_TEXELS", 2048)
-    for shape in (BALL, TriangleMesh(BALL.facetted(1.0))):
-        there = [placements()[0], replace(placements()[1], shape=shape)]
-        found, x, y = seen_from_above(there, (0.3, 0.8), LIGHT, span_mm=50.0, size=48)
-        seen.append(found[np.hypot(x, y) < 17.0])
-    assert np.abs(seen[1] / seen[0] - 1.0).mean() < 0.02
+    assert np.abs(lit_ball(TriangleMesh(BALL.facetted(1.0))) / exact - 1.0).mean() < 0.02
 
 
 def block(half_mm: float, low_mm: float, high_mm: float):
@@ -413,18 +425,25 @@ def test_in_even_light_a_turn_of_the_light_changes_nothing_that_gloss_shows():
     assert np.abs(turned - still).max() < 2e-3 * still.max()
 
 
+@functools.cache
+def glossy_renderers() -> list:
+    """Return renderers by light maps, by those without what gloss sees of neighbours, and by paths."""
+    materials = [material(0.5 * one, n=1.0, k=3.0, **GLOSSY) for one in COLOURED]
+    kinds = MAPS, MAPS, PATHS | {"samples": 512}
+    found = [make_renderer(scene_of(kind), SHAPES, materials, LIGHT, OPTIONS) for kind in kinds]
+    found[1].baked = replace(found[0].baked, seen=())
+    return found
+
+
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize("moment", [STILL, REDDISH], ids=["as it stands", "another colour"])
 def test_gloss_shows_neighbours_as_path_tracing_does(moment):
     """A coloured ball and plate in each other's gloss: nearer to paths than gloss that sees the sky through them."""
-    materials = [material(0.5 * one, n=1.0, k=3.0, **GLOSSY) for one in COLOURED]
     white = LIGHT.upward_white()
     white = white * (1.0 if moment.filter is None else np.array(moment.filter))
-    matrix, paths = xyz_from_radiance(white), {"kind": "reference", "samples": 512, "denoise": False}
-    renderers = [make_renderer(scene_of(kind), SHAPES, materials, LIGHT, OPTIONS) for kind in (MAPS, MAPS, paths)]
-    renderers[1].baked = replace(renderers[0].baked, seen=())
+    matrix = xyz_from_radiance(white)
     seen, blind, traced = (
-        lab_from_xyz(renderer.picture("v", moment)[0] @ matrix.T, matrix @ white) for renderer in renderers
+        lab_from_xyz(renderer.picture("v", moment)[0] @ matrix.T, matrix @ white) for renderer in glossy_renderers()
     )
     far, without = delta_e(seen, traced), delta_e(blind, traced)
     assert far.mean() < 0.6 * without.mean() and np.percentile(far, 99) < 0.8 * np.percentile(without, 99)

@@ -83,12 +83,16 @@ def black() -> Environment:
 
 
 def planned(materials, light, **scene):
-    """The plan's document, and the scene as the renderer has it for that plan."""
+    """The plan's document, and the scene."""
     definition = scene_of(**scene)
     document = plan_of("table-top", made(Scene, definition), [TABLE, JAR], materials, light, made(Render, OPTIONS))
+    return document, definition
+
+
+def modelled(materials, light, document, definition):
+    """The scene as the renderer has it for a plan."""
     parts = parts_of(make_renderer(made(Scene, definition), [TABLE, JAR], materials, light, made(Render, OPTIONS)))
-    model = model_of(ScenePlan.of(document), full_model(parts, 4), object_names(made(Scene, definition)))
-    return document, parts, model, definition
+    return parts, model_of(ScenePlan.of(document), full_model(parts, 4), object_names(made(Scene, definition)))
 
 
 def values(document) -> dict:
@@ -105,7 +109,8 @@ def picture(materials, light, document, definition):
 def test_a_matte_scene_pays_for_no_mirror_and_no_gloss():
     matte = [material(0.7), material(GREENISH)]
     shiny = [material(0.7, beta=1.0, mu=0.1, mirror=0.5), material(GREENISH, beta=2.0, mirror=1.0)]
-    document, parts, model, definition = planned(matte, room())
+    document, definition = planned(matte, room())
+    parts, model = modelled(matte, room(), document, definition)
     found = values(document)
     assert found["gloss"] == found["mirror"] == [] and found["max_bounces"] == 0 and found["gloss_levels"] == [0, 0]
     view = make_view(made(View, definition["views"]["v"]), made(Size, definition["image"]))
@@ -116,7 +121,7 @@ def test_a_matte_scene_pays_for_no_mirror_and_no_gloss():
     assert prepared.world.gloss_levels == 0 < prepared.world.environment_levels
     _, figures = picture(matte, room(), document, definition)
     assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02
-    dearer, *_ = planned(shiny, room(), tolerance=0.01)
+    dearer, _ = planned(shiny, room(), tolerance=0.01)
     assert document["cost"]["numbers_per_pixel"] < 0.5 * document["cost_of_full_model"]["numbers_per_pixel"]
     assert document["cost"]["rays_per_pixel"] < dearer["cost"]["rays_per_pixel"]
 
@@ -124,7 +129,8 @@ def test_a_matte_scene_pays_for_no_mirror_and_no_gloss():
 def test_a_scene_of_mirrors_alone_pays_for_no_irradiance_map():
     gold = {"n": np.array(GOLD_N)[THIRDS], "k": np.array(GOLD_K)[THIRDS]}
     mirrors = [material(0.0, mirror=1.0, **gold), material(0.0, mirror=0.9)]
-    document, parts, model, definition = planned(mirrors, room())
+    document, definition = planned(mirrors, room())
+    parts, model = modelled(mirrors, room(), document, definition)
     assert values(document)["irradiance"] is False and values(document)["mirror"] == ["table", "jar"]
     world = prepare(parts, model, np.ones((3, 61))).world
     assert world.irradiance_side == world.scatters == world.gloss_levels == 0
@@ -134,7 +140,8 @@ def test_a_scene_of_mirrors_alone_pays_for_no_irradiance_map():
 
 def test_a_scene_under_one_lamp_looks_no_environment_up_and_keeps_its_highlights():
     shiny = [material(0.5), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
-    document, parts, model, definition = planned(shiny, black(), lights=[LAMP])
+    document, definition = planned(shiny, black(), lights=[LAMP])
+    parts, model = modelled(shiny, black(), document, definition)
     found = values(document)
     assert found["environment"] is False and found["irradiance"] is False and found["gloss_levels"] == [0, 0]
     assert "jar" in found["gloss"]
@@ -143,7 +150,7 @@ def test_a_scene_under_one_lamp_looks_no_environment_up_and_keeps_its_highlights
     image, figures = picture(shiny, black(), document, definition)
     assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
     dull = [shiny[0], material(GREENISH, mirror=0.4)]
-    plain, *_ = planned(dull, black(), lights=[LAMP])
+    plain, _ = planned(dull, black(), lights=[LAMP])
     assert (image[..., 1] - picture(dull, black(), plain, definition)[0][..., 1]).max() > 5.0
 
 
@@ -164,7 +171,7 @@ def test_no_scene_errs_by_more_than_its_plan_predicts(data):
     ]
     lights = [LAMP] if data.draw(st.booleans()) else []
     tolerance = data.draw(st.sampled_from([0.2, 1.0, 3.0]))
-    document, _, _, definition = planned(materials, room(), tolerance=tolerance, lights=lights)
+    document, definition = planned(materials, room(), tolerance=tolerance, lights=lights)
     assert document["predicted_delta_e"] <= tolerance
     _, figures = picture(materials, room(), document, definition)
     # What single precision leaves is no part of the prediction.
@@ -176,7 +183,7 @@ MIRRORS = [material(0.04, mirror=0.95, n=0.3, k=3.0), material(0.1 * GREENISH, m
 
 
 def test_an_override_that_costs_too_much_is_predicted_and_refused():
-    document, _, _, definition = planned(MIRRORS, room(), overrides={"max_bounces": 0})
+    document, definition = planned(MIRRORS, room(), overrides={"max_bounces": 0})
     assert document["decisions"]["max_bounces"]["by"] == "scene" and document["predicted_delta_e"] > 1.0
     with pytest.raises(ToleranceError, match=r"scene 'table-top', view 'v'.* ΔE2000 .*tolerated: 1;") as caught:
         picture(MIRRORS, room(), document, definition)
@@ -192,7 +199,7 @@ def test_nothing_is_left_of_a_picture_that_is_refused(tmp_path):
     outputs = {"exr": tmp_path / "v.exr", "png": tmp_path / "v.png", "figures_file": tmp_path / "v.json"}
     # One ray a pixel is far from the mean over a pixel that path tracing gives where a mirror's outline crosses it.
     for overrides, tolerance, whole in (({"mirror": []}, 1.0, False), ({}, 0.3, False), ({}, 60.0, True)):
-        document, _, _, definition = planned(MIRRORS, room(), overrides=overrides, tolerance=tolerance)
+        document, definition = planned(MIRRORS, room(), overrides=overrides, tolerance=tolerance)
         write_plan(tmp_path / "plan.yaml", document)
         before = set(tmp_path.iterdir())
         job = partial(
@@ -221,11 +228,12 @@ def test_a_plan_is_the_same_to_the_byte_and_says_all_that_the_renderer_needs(tmp
     shiny = [material(0.5, beta=0.5, mu=0.2), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
     texts = []
     for name in ("a.yaml", "b.yaml"):
-        document, parts, model, _ = planned(shiny, room(), tolerance=0.5)
+        document, definition = planned(shiny, room(), tolerance=0.5)
         write_plan(tmp_path / name, document)
         texts.append((tmp_path / name).read_bytes())
     assert texts[0] == texts[1]
     assert read_yaml(tmp_path / "a.yaml") == document == yaml.safe_load(texts[0])
+    parts, model = modelled(shiny, room(), document, definition)
     assert dataclasses.replace(model, quadrature=None) != full_model(parts, 4)
     needed = {"value", "full", "predicted_delta_e", "numbers_per_ray", "by", "why"}
     assert all(set(decision) == needed for decision in document["decisions"].values())
@@ -251,7 +259,8 @@ def test_a_smaller_tolerance_costs_more():
 @pytest.mark.parametrize("parallel", [False, True])
 def test_single_pixels_are_those_of_the_picture(parallel):
     shiny = [material(0.5, mirror=0.3), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
-    _, parts, _, definition = planned(shiny, room())
+    definition = scene_of()
+    parts = parts_of(make_renderer(made(Scene, definition), [TABLE, JAR], shiny, room(), made(Render, OPTIONS)))
     definition |= {"views": {"v": PARALLEL}} if parallel else {}
     prepared = prepare(parts, full_model(parts, 4), np.ones((3, 61)))
     view = make_view(made(View, definition["views"]["v"]), made(Size, definition["image"]))
@@ -267,7 +276,7 @@ def test_single_pixels_are_those_of_the_picture(parallel):
 
 def test_the_gloss_of_an_object_that_nobody_would_miss_is_left_out():
     faint = [material(0.5, beta=1e-4, mu=0.3), material(GREENISH, beta=3.0, mu=0.3)]
-    document, *_ = planned(faint, room())
+    document, _ = planned(faint, room())
     assert values(document)["gloss"] == ["jar"] and document["decisions"]["gloss"]["predicted_delta_e"] > 0
 
 
@@ -296,7 +305,7 @@ def test_the_plan_says_what_the_scenes_file_decided_even_where_that_is_nothing()
         "environment_halvings": 0,
         "texture_halvings": 0,
     }
-    document, *_ = planned([material(0.5), material(GREENISH, mirror=0.4)], room(), overrides={**nothing, "nodes": 14})
+    document, _ = planned([material(0.5), material(GREENISH, mirror=0.4)], room(), overrides={**nothing, "nodes": 14})
     decided = {name for name, decision in document["decisions"].items() if decision["by"] == "scene"}
     assert decided == {*nothing, "nodes", "representation"}  # the number of nodes leaves one representation
     found = values(document)
@@ -322,7 +331,7 @@ def test_textures_are_as_fine_as_the_picture_shows_them():
 
     found = []
     for texels in (32, 256):
-        document, *_ = planned([waves(texels), material(0.3)], room(), tolerance=2.0)
+        document, _ = planned([waves(texels), material(0.3)], room(), tolerance=2.0)
         found.append(values(document)["texture_halvings"]["table"])
     # Eight times the texels for the same picture: they are halved away.
     assert found[1] >= found[0] + 2

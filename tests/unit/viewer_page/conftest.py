@@ -14,6 +14,10 @@ from irodori.viewer.browser import FLAGS, browser, browser_command, is_told_by_p
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import write_page
 
+#: A window of the usual size in the units of styles, by which all is laid out, and of a sixteenth of its pixels.
+_USUAL = {"viewport": {"width": 1280, "height": 800}, "locale": "en", "reduced_motion": "reduce",
+          "device_scale_factor": 0.25}  # fmt: skip
+
 
 @dataclass
 class Visit:
@@ -21,6 +25,15 @@ class Visit:
 
     page: object
     complaints: list[str] = field(default_factory=list)
+    listeners: dict = field(default_factory=dict)
+    idle: list = field(default_factory=list)
+
+    def leave(self) -> None:
+        """Leave the page empty for a later test."""
+        self.page.goto("about:blank")
+        for event, listener in self.listeners.items():
+            self.page.remove_listener(event, listener)
+        self.idle.append(self.page)
 
     def state(self) -> dict:
         return self.page.evaluate("Irodori.page()")
@@ -125,22 +138,20 @@ def idle_pages() -> dict[object, list]:
     return defaultdict(list)
 
 
-@pytest.fixture
-def visit(context_of, page_file, idle_pages):
-    """Return a function that opens the page; at the end nothing may have been complained about."""
-    visits = []
+@pytest.fixture(scope="module")
+def open_page(context_of, page_file, idle_pages):
+    """Return a function that opens the page; it is closed with `Visit.leave`."""
 
-    def open_page(hash_="", script="", ready=True, file=page_file, drawn=False, **given) -> Visit:
-        options = {"viewport": {"width": 1280, "height": 800}, "locale": "en", "reduced_motion": "reduce", **given}
-        context = context_of(script, drawn=drawn or file != page_file, **options)
+    def found(hash_="", script="", ready=True, file=page_file, drawn=False, **given) -> Visit:
+        context = context_of(script, drawn=drawn or file != page_file, **{**_USUAL, **given})
         opened = Visit(idle_pages[context].pop() if idle_pages[context] else context.new_page())
-        listeners = {
+        opened.idle = idle_pages[context]
+        opened.listeners = {
             "console": lambda message: _note_message(message.text, opened),
             "pageerror": lambda error: opened.complaints.append(str(error)),
             "request": lambda asked: _note_request(asked, opened, file),
         }
-        visits.append((opened, context, listeners))
-        for event, listener in listeners.items():
+        for event, listener in opened.listeners.items():
             opened.page.on(event, listener)
         opened.page.bring_to_front()
         opened.page.goto(file.as_uri() + hash_)
@@ -148,24 +159,37 @@ def visit(context_of, page_file, idle_pages):
             opened.page.wait_for_selector("body[data-ready]")
         return opened
 
-    yield open_page
-    for opened, context, listeners in visits:
-        opened.page.goto("about:blank")
-        for event, listener in listeners.items():
-            opened.page.remove_listener(event, listener)
-        idle_pages[context].append(opened.page)
-    assert [opened.complaints for opened, *_ in visits] == [[] for _ in visits]
+    return found
+
+
+@pytest.fixture
+def visit(open_page):
+    """Return a function that opens the page; at the end nothing may have been complained about."""
+    visits = []
+
+    def opened(*place, **given) -> Visit:
+        visits.append(open_page(*place, **given))
+        return visits[-1]
+
+    yield opened
+    for one in visits:
+        one.leave()
+    assert [one.complaints for one in visits] == [[] for _ in visits]
 
 
 @pytest.fixture(scope="module")
-def opening_state(context_of, page_file) -> dict:
+def untouched(open_page):
+    """The page as it opens, for tests that ask it something and change nothing: a page costs more than what they do."""
+    one = open_page()
+    yield one
+    one.leave()
+    assert one.complaints == []
+
+
+@pytest.fixture(scope="module")
+def opening_state(untouched) -> dict:
     """State in which the page opens."""
-    page = context_of("", viewport={"width": 1280, "height": 800}, locale="en", reduced_motion="reduce").new_page()
-    page.goto(page_file.as_uri())
-    page.wait_for_selector("body[data-ready]")
-    found = page.evaluate("Irodori.page()")
-    page.close()
-    return found
+    return untouched.state()
 
 
 def _note_message(text: str, opened: Visit) -> None:

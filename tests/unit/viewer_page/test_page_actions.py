@@ -216,6 +216,12 @@ ACTIONS = [
 ]  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def reset_pages() -> list:
+    """Pages that were opened from an address and then reset, which are as good as new ones."""
+    return []
+
+
 #: Actions by several tools and on several tabs, by which every kind of control is tried.
 _ALWAYS = (orbit, move_object, choose_illuminant)
 
@@ -224,16 +230,21 @@ _ALWAYS = (orbit, move_object, choose_illuminant)
     "action",
     [pytest.param(one, marks=[] if one in _ALWAYS else pytest.mark.heavy, id=one.__name__) for one in ACTIONS],
 )
-def test_everything_can_be_done_by_keys_and_is_in_the_address(visit, action, opening_state):
-    one = visit()
+def test_everything_can_be_done_by_keys_and_is_in_the_address(open_page, reset_pages, action, opening_state):
+    """Each begins on the page on which the one before has ended."""
+    one = reset_pages.pop() if reset_pages else open_page()
+    one.page.bring_to_front()
     holds = action(one)
     page = one.settled()
     assert holds(page), page
-    again = visit(one.page.evaluate("location.hash"))
+    again = open_page(one.page.evaluate("location.hash"))
     assert close(again.settled(), page)
     again.tab_to("#reset")
     keys(again, "Enter")
     assert again.settled() == opening_state
+    one.leave()
+    assert one.complaints == again.complaints == []
+    reset_pages.append(again)
 
 
 def test_dialogs_open_and_close_by_keys(visit):

@@ -254,9 +254,8 @@ FAULTS = {
 }  # fmt: skip
 
 
-def test_a_faulty_address_is_refused_in_one_sentence_and_the_scene_is_shown(visit):
-    start = visit().state()
-    one = visit()
+def test_a_faulty_address_is_refused_in_one_sentence_and_the_scene_is_shown(visit, opening_state):
+    start, one = opening_state, visit()
     for field, content in FAULTS.items():
         one.page.evaluate("(hash) => { location.hash = hash; }", address(content))
         one.says(field)
@@ -268,14 +267,13 @@ def test_a_faulty_address_is_refused_in_one_sentence_and_the_scene_is_shown(visi
         assert one.state() == start
 
 
-def test_what_the_page_offers_is_taken_from_an_address(visit):
-    one = visit()
+def test_what_the_page_offers_is_taken_from_an_address(untouched):
     lights = ({"name": "A"}, {"cct_K": 3000}, {"power": [1] * 61, "label": "even"})
     displays = ({"name": "sRGB"}, {"name": "Display P3"}, {"primaries": PRIMARIES})
     for fields in ({"step": 6}, {"probes": [PLACE, PLACE | {"surface": 3, "texel": [15, 15]}]},
                    *({"state": {"display": display}} for display in displays),
                    *({"state": {"light": {"illuminant": illuminant}}} for illuminant in lights)):  # fmt: skip
-        assert one.page.evaluate(
+        assert untouched.page.evaluate(
             "(hash) => { const app = Irodori.app, page = Irodori.hashToPage(hash, app.base, app.header, app.lesson);"
             " return Irodori.pageToHash(page, app.base); }",
             address(fields)[1:],
@@ -360,7 +358,7 @@ def saved(visit, press) -> bytes:
 
 @pytest.mark.heavy
 def test_a_saved_picture_shows_its_state_again(visit, tmp_path):
-    one = visit(accept_downloads=True)
+    one = visit(device_scale_factor=1)
     one.page.locator(".steps li:nth-child(3) button").click()
     one.page.locator("#tab-light").click()
     before = one.settled()
@@ -389,8 +387,8 @@ def drop(visit, name, content):
 
 
 @pytest.mark.heavy
-def test_other_pictures_and_files_are_refused(visit):
-    one, start = visit(), visit().state()
+def test_other_pictures_and_files_are_refused(visit, opening_state):
+    one, start = visit(), opening_state
     plain = io.BytesIO()
     Image.new("RGB", (4, 4)).save(plain, "png")
     cases = [
@@ -463,20 +461,19 @@ TABLES = {
 }  # fmt: skip
 
 
-def test_tables_of_light_are_read_as_the_program_reads_them(visit, tmp_path):
-    one = visit()
+def test_tables_of_light_are_read_as_the_program_reads_them(untouched, tmp_path):
     for name, text in TABLES.items():
         file = tmp_path / "light.spd"
         file.write_text(text, encoding="utf-8")
         wanted = light(str(file))
-        found = one.page.evaluate("(text) => Irodori.powerOfTable(text, 'light.txt').power", text)
+        found = untouched.page.evaluate("(text) => Irodori.powerOfTable(text, 'light.txt').power", text)
         # The page keeps five digits.
         assert found == pytest.approx(list(wanted / wanted.max()), rel=5.1e-5, abs=1e-12), name
 
 
 @pytest.mark.parametrize(("under", "refused"), [(0.009, False), (0.0101, True)])
 @pytest.mark.parametrize("step", [1, 10])
-def test_power_under_0_is_noise_for_the_page_as_for_the_program(visit, tmp_path, under, refused, step):
+def test_power_under_0_is_noise_for_the_page_as_for_the_program(untouched, tmp_path, under, refused, step):
     """The page draws it as 0."""
     text = "".join(
         f"{nm},{-50 * under if nm < 450 else nm - 450 if nm < 500 else 50}\n" for nm in range(380, 741, step)
@@ -484,7 +481,7 @@ def test_power_under_0_is_noise_for_the_page_as_for_the_program(visit, tmp_path,
     (tmp_path / "light.spd").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="a hundredth of the peak under 0") if refused else nullcontext():
         wanted = light(str(tmp_path / "light.spd"))
-    said = visit().page.evaluate(
+    said = untouched.page.evaluate(
         "(text) => { try { return Irodori.powerOfTable(text, 'x.csv').power; }"
         " catch (error) { return Irodori.sentence(error); } }",
         text,
@@ -497,8 +494,7 @@ def test_power_under_0_is_noise_for_the_page_as_for_the_program(visit, tmp_path,
         )
 
 
-def test_tables_of_light_that_can_be_read_in_two_ways_are_refused(visit):
-    one = visit()
+def test_tables_of_light_that_can_be_read_in_two_ways_are_refused(untouched):
     head = "".join(f"{nm};{nm}\n" for nm in range(380, 741, 10))
     for rows, sentence in (
         ("750;1.5\n760;1,5\n", "750;1.5"),
@@ -507,7 +503,7 @@ def test_tables_of_light_that_can_be_read_in_two_ways_are_refused(visit):
         ("750;\n", "750;"),
         ("400;1\n", "two rows for 400 nm"),
     ):
-        said = one.page.evaluate(
+        said = untouched.page.evaluate(
             "(text) => { try { return Irodori.powerOfTable(text, 'x.csv').power.join(); }"
             " catch (error) { return Irodori.sentence(error); } }",
             head + rows,
@@ -521,12 +517,12 @@ def test_tables_of_light_that_can_be_read_in_two_ways_are_refused(visit):
     ([*range(400, 701, 20)], False),
     ([300, 390, *range(400, 701, 20), 900], False),  # what is beyond 400 to 700 nm may have gaps
 ])  # fmt: skip
-def test_tables_of_light_with_gaps_are_refused_as_the_program_refuses_them(visit, tmp_path, wavelengths, refused):
+def test_tables_of_light_with_gaps_are_refused_as_the_program_refuses_them(untouched, tmp_path, wavelengths, refused):
     text = "".join(f"{nm},1\n" for nm in wavelengths)
     (tmp_path / "light.spd").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="no sample for") if refused else nullcontext():
         light(str(tmp_path / "light.spd"))
-    said = visit().page.evaluate(
+    said = untouched.page.evaluate(
         "(text) => { try { return Irodori.powerOfTable(text, 'x.csv').power.join(); }"
         " catch (error) { return Irodori.sentence(error); } }",
         text,
@@ -538,8 +534,8 @@ def test_tables_of_light_with_gaps_are_refused_as_the_program_refuses_them(visit
 
 
 @pytest.mark.heavy
-def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path):
-    one = visit(accept_downloads=True)
+def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, opening_state):
+    one = visit()
     page = one.page
     page.locator(".steps li:nth-child(3) button").click()
     page.get_by_role("button", name="Edit the lesson").click()
@@ -563,14 +559,14 @@ def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path
         "([lesson, base]) => Irodori.pageOfStep(lesson.steps[2], 2, base, {illuminants: [{name: 'D65'}, {name: 'A'}],"
         " environments: ['classroom'], observers: [{name: base.state.observer}], views: [],"
         " displays: [{name: 'sRGB'}]})",
-        [lesson_for_page(lesson), visit().state()],
+        [lesson_for_page(lesson), opening_state],
     )
     assert close(again["state"]["camera"], shown["state"]["camera"])
     assert again["state"]["objects"] == shown["state"]["objects"]
     assert again["compare"] == shown["compare"]
 
 
-def test_the_text_of_a_lesson_is_read_back_as_it_was(visit, tmp_path):
+def test_the_text_of_a_lesson_is_read_back_as_it_was(untouched, tmp_path):
     """YAML 1.1 takes 1e-7 for a text, and does not print some characters."""
     numbers = [1e-7, -2e-15, 1.5e-9, 1e21, 0.25, 3, 0]
     words = {"en": 'a\u2028\x85\x7f\xa0é😀 "x" # \t\\', "ja": "a: b\n\n  c\r\n'd'", "no": "x"}
@@ -578,14 +574,14 @@ def test_the_text_of_a_lesson_is_read_back_as_it_was(visit, tmp_path):
         "title": words,
         "steps": [{"title": words, "text": words, "numbers": numbers, "at": 1e-7, "visible": True}],
     }
-    text = visit().page.evaluate("(lesson) => Irodori.lessonYaml(lesson)", lesson)
+    text = untouched.page.evaluate("(lesson) => Irodori.lessonYaml(lesson)", lesson)
     (tmp_path / "lesson.yaml").write_bytes(text.encode())
     assert read_yaml(tmp_path / "lesson.yaml") == {"lesson": lesson}
-    half = visit().page.evaluate("() => Irodori.lessonYaml({title: {en: 'a\\ud83d'}, steps: []})")
+    half = untouched.page.evaluate("() => Irodori.lessonYaml({title: {en: 'a\\ud83d'}, steps: []})")
     assert yaml.safe_load(half)["lesson"]["title"]["en"] == "a\ufffd"
 
 
-def test_lamps_are_added_until_the_page_can_draw_no_more_and_a_light_needs_a_name(visit):
+def test_lamps_are_added_until_the_page_can_draw_no_more_and_a_light_needs_a_name(visit, opening_state):
     one = visit()
     one.page.locator("#tab-light").click()
     for _ in range(MOST_LAMPS):
@@ -597,7 +593,7 @@ def test_lamps_are_added_until_the_page_can_draw_no_more_and_a_light_needs_a_nam
         "([page, words, base]) => Irodori.lessonYaml("
         "{title: words.title, steps: [Irodori.stepOfPage(page, words, base)]})"
     )
-    given = yaml.safe_load(one.page.evaluate(export, [page, words, visit().state()]))
+    given = yaml.safe_load(one.page.evaluate(export, [page, words, opening_state]))
     whole = yaml.safe_load((ROOT / "config/scenes/still-life.yaml").read_text(encoding="utf-8"))
     scene = Scene.of(validate({**whole, **given}, "scene", "still-life.yaml"))
     check_lesson(scene, ROOT, "still-life.yaml")
@@ -613,7 +609,7 @@ def test_lamps_are_added_until_the_page_can_draw_no_more_and_a_light_needs_a_nam
 
 @pytest.mark.heavy
 def test_a_picture_given_to_a_step_is_shown_and_exported_with_the_lesson(visit, tmp_path):
-    one = visit(accept_downloads=True)
+    one = visit()
     page = one.page
     page.locator(".steps li:nth-child(2) button").click()
     page.get_by_role("button", name="Edit the lesson").click()
@@ -704,7 +700,7 @@ def test_a_slow_machine_gets_fewer_pixels_while_it_moves_and_all_at_rest(visit):
 
 @pytest.mark.heavy
 def test_rate_and_scale_are_shown_on_request(visit):
-    one = visit()
+    one = visit(device_scale_factor=1)
     assert not one.page.locator("#rate").is_visible()
     one.page.locator("#tab-seeing").click()
     one.page.get_by_label("Show frames per second").check()
@@ -712,8 +708,8 @@ def test_rate_and_scale_are_shown_on_request(visit):
     assert re.search(r"scale [01]\.\d\d · 900 × \d+$", one.page.locator("#rate").inner_text())
 
 
-def test_the_scale_bar_tells_millimetres(visit):
-    one = visit()
+def test_the_scale_bar_tells_millimetres(untouched):
+    one = untouched
     mm = float(one.page.locator("#scale-text").inner_text().split()[0])
     pixels = one.page.locator("#scale-line").bounding_box()["width"]
     ends = one.page.evaluate(
