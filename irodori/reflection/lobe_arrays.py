@@ -19,6 +19,26 @@ def _fill_features(lobes, geometry, out):
 
 
 @njit(cache=True, error_model="numpy")
+def _fill_features_under_lamps(lobes, normal, view, lamp, out):
+    for t in range(normal.shape[0]):
+        nx, ny, nz = normal[t, 0], normal[t, 1], normal[t, 2]
+        cos_r = nx * view[t, 0] + ny * view[t, 1] + nz * view[t, 2]
+        for j in range(lamp.shape[0]):
+            cos_i = nx * lamp[j, 0] + ny * lamp[j, 1] + nz * lamp[j, 2]
+            if cos_i > 0.0 and cos_r > 0.0:  # the half vector is not of opposite directions then
+                hx, hy, hz = view[t, 0] + lamp[j, 0], view[t, 1] + lamp[j, 1], view[t, 2] + lamp[j, 2]
+                length = math.sqrt(hx * hx + hy * hy + hz * hz)
+                hx, hy, hz = hx / length, hy / length, hz / length
+                x, y, z = ny * hz - nz * hy, nz * hx - nx * hz, nx * hy - ny * hx
+                cos_phi = nx * hx + ny * hy + nz * hz
+                phi = math.atan2(math.sqrt(x * x + y * y + z * z), cos_phi)
+                # Of unit vectors, V + L is twice the cosine between L and the half vector long.
+                out[t, j, 0], out[t, j, 1], out[t, j, 2], out[t, j, 3] = features(
+                    lobes, cos_i, cos_r, cos_phi, 0.5 * length, phi
+                )
+
+
+@njit(cache=True, error_model="numpy")
 def _fill_values(lobes, mu, seen, out):
     last, constant = mu[0], constants(lobes, math.log(mu[0]))
     for j in range(seen.shape[0]):
@@ -61,6 +81,25 @@ class LobeAtAngles:
         geometry = np.asarray(geometry, dtype=np.float64)
         self._lobes, self._seen = Lobes.of(name), np.zeros(geometry.shape)
         _fill_features(self._lobes, np.ascontiguousarray(geometry).reshape(-1, 4), self._seen.reshape(-1, 4))
+
+    @classmethod
+    def under_lamps(cls, name: str, normal, view, lamp) -> "LobeAtAngles":
+        """Return a lobe at T places under J lamps, (T, J), without the way from directions to angles and back.
+
+        Parameters
+        ----------
+        name : str
+            Name of a registered lobe.
+        normal, view : (T, 3) float
+            Unit vectors of the surface normals and towards the camera.
+        lamp : (J, 3) float
+            Unit vectors towards the lamps.
+        """
+        vectors = (np.ascontiguousarray(one, dtype=np.float64) for one in (normal, view, lamp))
+        made = cls.__new__(cls)
+        made._lobes, made._seen = Lobes.of(name), np.zeros((len(normal), len(lamp), 4))
+        _fill_features_under_lamps(made._lobes, *vectors, made._seen)
+        return made
 
     def value(self, mu) -> np.ndarray:
         """Return D G / cosθ_r, (...) float64, for roughnesses that are broadcast with the angles, see `evaluate`."""
