@@ -203,10 +203,10 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
     shares /= shares.sum()
     mean = np.zeros(count)
     # Few of some hundred families are likely at all; what the others would add is lost in rounding.
-    for number in np.flatnonzero(shares > _LEAST_SHARE):
-        moment = prior.moment[number]
+    for likely in np.flatnonzero(shares > _LEAST_SHARE):
+        moment = prior.moment[likely]
         turned = solve_triangular(factor_of(moment), np.column_stack([answer, seen @ moment]), lower=True)
-        mean += shares[number] * (turned[:, 0] @ turned[:, 1:])
+        mean += shares[likely] * (turned[:, 0] @ turned[:, 1:])
     return mean, np.tensordot(shares * squares, prior.moment, axes=1)
 
 

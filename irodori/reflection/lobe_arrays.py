@@ -40,21 +40,21 @@ def _fill_features_under_lamps(lobes, normal, view, lamp, out):
 
 @njit(cache=True, error_model="numpy")
 def _fill_values(lobes, mu, seen, out):
-    last, constant = mu[0], constants(lobes, math.log(mu[0]))
+    last, constant, each = mu[0], constants(lobes, math.log(mu[0])), min(mu.size - 1, 1)
     for j in range(seen.shape[0]):
         if seen[j, 0] != 0.0:
-            if mu[j] != last:
-                last, constant = mu[j], constants(lobes, math.log(mu[j]))
+            if mu[each * j] != last:
+                last, constant = mu[each * j], constants(lobes, math.log(mu[each * j]))
             out[j] = seen[j, 0] * value(lobes, constant, seen[j, 1], seen[j, 2], seen[j, 3])
 
 
 @njit(cache=True, error_model="numpy")
 def _fill_derivatives(lobes, mu, seen, out):
-    last, constant = mu[0], constants(lobes, math.log(mu[0]))
+    last, constant, each = mu[0], constants(lobes, math.log(mu[0])), min(mu.size - 1, 1)
     for j in range(seen.shape[0]):
         if seen[j, 0] != 0.0:
-            if mu[j] != last:
-                last, constant = mu[j], constants(lobes, math.log(mu[j]))
+            if mu[each * j] != last:
+                last, constant = mu[each * j], constants(lobes, math.log(mu[each * j]))
             here, first, second = derivatives(lobes, constant, seen[j, 1], seen[j, 2], seen[j, 3])
             out[0, j], out[1, j], out[2, j] = seen[j, 0] * here, seen[j, 0] * first, seen[j, 0] * second
 
@@ -104,7 +104,7 @@ class LobeAtAngles:
     def value(self, mu) -> np.ndarray:
         """Return D G / cosθ_r, (...) float64, for roughnesses that are broadcast with the angles, see `evaluate`."""
         shape, mu, seen = self._broadcast(mu)
-        out = np.zeros(mu.size)
+        out = np.zeros(len(seen))
         if mu.size:
             _fill_values(self._lobes, mu, seen, out)
         return out.reshape(shape)
@@ -112,14 +112,17 @@ class LobeAtAngles:
     def derivatives(self, mu) -> np.ndarray:
         """Return D G / cosθ_r and its first two derivatives by ln μ, (3, ...) float64."""
         shape, mu, seen = self._broadcast(mu)
-        out = np.zeros((3, mu.size))
+        out = np.zeros((3, len(seen)))
         if mu.size:
             _fill_derivatives(self._lobes, mu, seen, out)
         return out.reshape(3, *shape)
 
     def _broadcast(self, mu) -> tuple[tuple[int, ...], np.ndarray, np.ndarray]:
-        shape = np.broadcast_shapes(np.shape(mu), self._seen.shape[:-1])
-        mu = np.ascontiguousarray(np.broadcast_to(np.asarray(mu, dtype=np.float64), shape)).reshape(-1)
+        mu, shape = np.asarray(mu, dtype=np.float64), self._seen.shape[:-1]
+        if mu.size == 1 and mu.ndim <= len(shape):  # of all: nothing is copied
+            return shape, mu.reshape(1), self._seen.reshape(-1, 4)
+        shape = np.broadcast_shapes(mu.shape, shape)
+        mu = np.ascontiguousarray(np.broadcast_to(mu, shape)).reshape(-1)
         return shape, mu, np.ascontiguousarray(np.broadcast_to(self._seen, (*shape, 4))).reshape(-1, 4)
 
 
