@@ -65,12 +65,17 @@ class KnownShape(NamedTuple):
         return np.zeros(len(self.normal), dtype=bool)
 
 
-def fit_known_shape(response, weight, lamps: Lamps, normal, view, *, lobe: str, n: float, k: float) -> KnownShape:
+def fit_known_shape(
+    response, weight, lamps: Lamps, normal, view, *, lobe: str, n: float, k: float, geometry=None
+) -> KnownShape:
     """Fit diffuse weights and one gloss to the responses (T, J) of a convex surface of known shape.
 
-    The parameters are those of `irodori.fitting.one_gloss.fit_surface` and of `KnownShape`.
+    The parameters are those of `irodori.fitting.one_gloss.fit_surface` and of `KnownShape`. The angles ``geometry``,
+    (T, J, 4), may be given where they are known, for several fits.
     """
-    surface = fit_surface(response / lamps.level, geometry_of(normal, view, lamps.direction), weight, lobe, n, k)
+    if geometry is None:
+        geometry = geometry_of(normal, view, lamps.direction)
+    surface = fit_surface(response / lamps.level, geometry, weight, lobe, n, k)
     return KnownShape(surface, normal, view, (weight > 0.0).sum(axis=1) >= _FEWEST)
 
 

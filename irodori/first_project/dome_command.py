@@ -17,7 +17,7 @@ from irodori.first_project.lights_command import add_names, add_outline, asked_c
 from irodori.fitting.one_gloss import MATT
 from irodori.fitting.unknown_shape import fit_unknown_shape, register_unknown_shape
 from irodori.rectification.circle_search import Circle
-from irodori.rectification.lamp_registration import Lamps, register_lamps
+from irodori.rectification.lamp_registration import Lamps, geometry_of, register_lamps
 from irodori.rectification.photometric_stereo import LEAST_COSINE
 from irodori.reflection.registry import DEFAULT_LOBES, names
 
@@ -125,10 +125,10 @@ def _ball(asked: argparse.Namespace, photographs: DomePhotographs, circle: Circl
     lamps = register_lamps(
         response[part], normal[part], view[part], lit(known)[part], known, error_deg=asked.error_deg, n=n, k=0.0
     )
-    weight = lit(lamps.direction)
+    weight, geometry = lit(lamps.direction), geometry_of(normal, view, lamps.direction)
 
     def fit(weight: np.ndarray, lobe: str):
-        return fit_known_shape(response, weight, lamps, normal, view, lobe=lobe, n=n, k=0.0)
+        return fit_known_shape(response, weight, lamps, normal, view, lobe=lobe, n=n, k=0.0, geometry=geometry)
 
     lobe, found = _chosen(
         lambda lobe: predict_left_out(response, weight, lamps, known, lambda kept: fit(kept, lobe))

@@ -7,7 +7,7 @@ with analytic derivatives (variable projection: Golub and Pereyra 1973; Kaufman 
 photographs, which contains noise, errors of the photographs, and a lobe of another form.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +19,7 @@ from irodori.fitting.paint_gloss import TexelGloss
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.texel_sample import Readings
 from irodori.reflection.fresnel import fresnel_array
-from irodori.reflection.lobe_arrays import evaluate, evaluate_with_derivatives
+from irodori.reflection.lobe_arrays import LobeAtAngles
 
 _ROUNDS = 3  # fits, each with the weights that the one before it gives
 _STEPS = 30  # largest number of evaluations of a refinement
@@ -76,33 +76,43 @@ class _Model:
         self.seen = (readings.weight > 0.0) & np.isfinite(self.response)
         self.given = np.where(self.seen, readings.weight, 0.0).astype(np.float64)
         self.response[~self.seen] = 0.0
-        self.cosine = readings.diffuse(self.angles)
+        self.cosine, self.sine2 = readings.diffuse(self.angles), np.sin(self.angles[..., 0]) ** 2
         self.fresnel = fresnel_array(np.cos(self.angles[..., 2]), readings.n, readings.k)
         (_, high_beta), (low_mu, high_mu), count = options.limits("beta"), options.limits("mu_rad"), len(options.lobes)
         self.limits = np.log([_SMALLEST, low_mu] * count), np.log([high_beta, high_mu] * count)
 
-    def lobe(self, component: int, mu, angles=None) -> np.ndarray:
-        """Return the gloss of a component for β = 1, (texels, J)."""
-        return self.fresnel * evaluate(self.options.lobes[component], mu, self.angles if angles is None else angles)
+    @cached_property
+    def lobes(self) -> list[LobeAtAngles]:
+        """The lobes of all components under the angles of the readings."""
+        return self._lobes_at(self.angles[..., 3])
+
+    @cached_property
+    def lobes_turned(self) -> list[LobeAtAngles]:
+        """The same where every φ is larger by `_ANGLE`."""
+        return self._lobes_at(self.angles[..., 3] + _ANGLE)
+
+    def _lobes_at(self, phi) -> list[LobeAtAngles]:
+        angles = self.angles.copy()
+        angles[..., 3] = phi
+        return [LobeAtAngles(name, angles) for name in self.options.lobes]
 
     @cached_property
     def at_nodes(self) -> np.ndarray:
         """Gloss of every component for β = 1 at the nodes of the scan, (components, nodes, texels, J)."""
         nodes = np.exp(self.options.nodes())
-        return np.stack([[self.lobe(number, mu) for mu in nodes] for number in range(len(self.options.lobes))])
+        return np.stack([[self.fresnel * lobe.value(mu) for mu in nodes] for lobe in self.lobes])
 
-    def gloss(self, log_gloss: np.ndarray, angles=None) -> np.ndarray:
+    def gloss(self, log_gloss: np.ndarray, lobes: Sequence[LobeAtAngles] | None = None) -> np.ndarray:
         """Return the gloss of all components, (texels, J); ``log_gloss`` is (p,), or (texels, p) of each texel."""
-        values = np.exp(np.atleast_2d(log_gloss)).T[..., None]
-        return sum(beta * self.lobe(number, mu, angles) for number, (beta, mu) in enumerate(_pairs(values)))
+        values = _pairs(np.exp(np.atleast_2d(log_gloss)).T[..., None])
+        parts = zip(values, self.lobes if lobes is None else lobes, strict=True)
+        return self.fresnel * sum(beta * lobe.value(mu) for (beta, mu), lobe in parts)
 
     def slopes(self, log_gloss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the gloss, (texels, J), and its derivatives by the p parameters, (p, texels, J)."""
         parts = []
-        for name, (beta, mu) in zip(
-            self.options.lobes, _pairs(np.exp(np.atleast_2d(log_gloss)).T[..., None]), strict=True
-        ):
-            value, slope, _ = evaluate_with_derivatives(name, mu, self.angles)
+        for lobe, (beta, mu) in zip(self.lobes, _pairs(np.exp(np.atleast_2d(log_gloss)).T[..., None]), strict=True):
+            value, slope, _ = lobe.derivatives(mu)
             parts += [beta * self.fresnel * value, beta * self.fresnel * slope]
         return sum(parts[::2]), np.stack(parts)
 
@@ -112,25 +122,34 @@ class _Model:
         rest = (weight * self.cosine * (self.response - gloss)).sum(axis=1)
         return np.clip(rest / np.where(power > 0.0, power, 1.0), *self.options.limits("alpha")), power
 
-    def variance(self, log_gloss: np.ndarray, gloss: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    def variance_of_turns(self, log_gloss: np.ndarray, gloss: np.ndarray) -> np.ndarray:
+        """Return the variance of a gloss by errors of φ, (texels, J)."""
+        fall = (self.gloss(log_gloss, self.lobes_turned) - gloss) / _ANGLE
+        return self.options.angles.variances[1] * fall**2
+
+    def variance(self, gloss: np.ndarray, of_turns: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """Return the variance of readings by noise, light and errors of angles, (texels, J)."""
-        of_incidence, of_phi = self.options.angles.variances
-        turned = self.angles.copy()
-        turned[..., 3] += _ANGLE
-        fall = (self.gloss(log_gloss, turned) - gloss) / _ANGLE
-        sine2 = np.sin(self.angles[..., 0]) ** 2
+        of_incidence, _ = self.options.angles.variances
         expected = alpha[:, None] * self.cosine + gloss
         own = self.readings.variance(expected, self.options.model_error)
-        return own + of_phi * fall**2 + of_incidence * alpha[:, None] ** 2 * sine2
+        return own + of_turns + of_incidence * alpha[:, None] ** 2 * self.sine2
 
-    def projected(self, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return values, (..., texels, J), times the roots of the weights, without what an α would explain."""
+    def projection(self, weight: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Return a function of values, (..., texels, J): times the roots of the weights, without what an α explains."""
         root = np.sqrt(weight)
         axis = root * self.cosine
         power = (axis**2).sum(axis=1, keepdims=True)
         axis = axis / np.sqrt(np.where(power > 0.0, power, 1.0))
-        values = values * root
-        return values - axis * (values * axis).sum(axis=-1, keepdims=True)
+
+        def project(values: np.ndarray) -> np.ndarray:
+            values = values * root
+            return values - axis * np.einsum("...j,...j->...", values, axis)[..., None]
+
+        return project
+
+    def projected(self, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return the `projection` of values."""
+        return self.projection(weight)(values)
 
     def starts(self, weight: np.ndarray) -> list[np.ndarray]:
         """Return the best nodes, (p,) each: of two lobes one with the first the broader one, and one with the narrower.
@@ -165,11 +184,13 @@ class _Model:
         """Return the parameters of the least sum of squares near a start, (p,), within their limits."""
         from scipy.optimize import least_squares  # slow to import
 
+        project = self.projection(weight)
+
         def off(x):
-            return self.projected(weight, self.gloss(x) - self.response).ravel()
+            return project(self.gloss(x) - self.response).ravel()
 
         def slope(x):
-            return self.projected(weight, self.slopes(x)[1]).reshape(len(x), -1).T
+            return project(self.slopes(x)[1]).reshape(len(x), -1).T
 
         inside = np.clip(start, self.limits[0] + 1e-6, self.limits[1] - 1e-6)
         return least_squares(
@@ -179,9 +200,9 @@ class _Model:
     def weights(self, log_gloss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return inverse variances of readings about a gloss, and the same without outliers, (texels, J) each."""
         gloss = self.gloss(log_gloss)
-        alpha, _ = self.alpha(gloss, self.given)
+        of_turns, (alpha, _) = self.variance_of_turns(log_gloss, gloss), self.alpha(gloss, self.given)
         for _ in range(2):
-            plain = self.given / self.variance(log_gloss, gloss, alpha)
+            plain = self.given / self.variance(gloss, of_turns, alpha)
             alpha, _ = self.alpha(gloss, plain)
         deviation = np.abs(self.response - alpha[:, None] * self.cosine - gloss) * np.sqrt(plain)
         typical = np.median(deviation[self.seen]) / _NORMAL_MEDIAN if self.seen.any() else 1.0
@@ -228,10 +249,8 @@ class _Model:
 
     def is_seen(self, log_gloss: np.ndarray) -> bool:
         """Return whether at least two photographs show each component near its peak."""
-        peak = self.angles.copy()
-        peak[..., 3] = 0.0
-        for component, mu in enumerate(np.exp(log_gloss[1::2])):
-            here, top = self.lobe(component, mu), self.lobe(component, mu, peak)
+        for lobe, peak, mu in zip(self.lobes, self._lobes_at(0.0), np.exp(log_gloss[1::2]), strict=True):
+            here, top = (self.fresnel * one.value(mu) for one in (lobe, peak))
             near = self.seen & (top > 0.0) & (here >= SEEN * top)
             if near.any(axis=0).sum() < TWICE:
                 return False

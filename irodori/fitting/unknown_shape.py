@@ -13,7 +13,7 @@ import numpy as np
 from irodori.fitting.one_gloss import MATT, fit_one_gloss
 from irodori.fitting.paint_gloss import PaintGloss
 from irodori.fitting.solvers import FitOptions
-from irodori.rectification.lamp_registration import Lamps, geometry_of, perpendiculars
+from irodori.rectification.lamp_registration import Lamps, cosine_to_half, geometry_of, perpendiculars
 from irodori.rectification.photometric_stereo import (
     AGREES,
     FEWEST,
@@ -25,7 +25,8 @@ from irodori.rectification.photometric_stereo import (
     misfit_of,
     refine_lamps,
 )
-from irodori.reflection.equation5 import reflect
+from irodori.reflection.fresnel import fresnel_array
+from irodori.reflection.lobe_arrays import LobeAtAngles
 
 #: Responses below this share of the rendered ones are in the shadow of another part of the object.
 SHADOW = 0.5
@@ -107,8 +108,9 @@ class UnknownShape:
         """Return the gloss at places with normals (T, 3) under J lamps of level 1, (T, J)."""
         if self.gloss is None:
             return np.zeros((len(normal), len(direction)))
-        geometry = _geometry(normal, direction)
-        return reflect(0.0, 1.0, self.beta, self.mu, geometry, n=self.n, k=self.k, lobe=self.lobe)
+        lobe = LobeAtAngles.under_lamps(self.lobe, normal, np.broadcast_to(_VIEW, normal.shape), direction)
+        fresnel = fresnel_array(cosine_to_half(_VIEW, direction), self.n, self.k)
+        return self.beta * fresnel * lobe.value(self.mu)
 
     def _with_normals(self, response, usable, lamps: Lamps) -> "UnknownShape":
         """Return the surface after a Gauss-Newton step of normals and diffuse weights, with the gloss as it is."""

@@ -33,6 +33,7 @@ _MAX_INVALID = 0.05  # largest share of invalid samples of a patch; patches with
 _LEAST_WHOLE = 0.75  # smallest share of the patches that must be usable
 _VECTORS = 8  # principal vectors of reflectances; they represent a chart under any lamp of the CIE to 1.1 %
 _SMALLEST = 1e-3  # relative singular value of reflectances, below which their vectors are lost in the error _NOISE
+_LEAST_SHARE = 1e-15  # of a family, from which on its light is part of the mean
 _STEPS = 3  # of the joint estimation of lights and response
 _MAX_MISFIT = 0.08  # largest relative RMS misfit of responses; it is above 0.4 for a rotated or mirrored chart
 _MAX_OUTSIDE = 0.05  # largest relative RMS of responses not explained by light from directions of the room
@@ -179,9 +180,9 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
     of_bands = model.mean[:, :, None, None] * model.mean + model.covariance
     of_pairs = np.ascontiguousarray(of_bands.transpose(1, 0, 2, 3)[:, one, other])
     second = np.zeros((bands, patches, bands, patches))
-    logarithm, means, squares = [], [], []
-    for moment, share in zip(prior.moment, prior.share, strict=True):
-        cross = seen @ moment
+
+    def factor_of(moment: np.ndarray) -> np.ndarray:
+        """Return the Cholesky factor of the second moment of the responses to the light of a family."""
         of_one = chart.reflectance @ (of_pairs * moment[:, None]).reshape(count, -1)
         of_both = of_one.reshape(-1, count) @ chart.reflectance.T
         # The lower triangle is all that the factor needs.
@@ -189,15 +190,24 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
         responses = second.reshape(len(answer), -1).copy()
         expected = responses[of_all, of_all]
         responses[of_all, of_all] += _NOISE**2 * expected + (noise * expected[brightest][:, None]).ravel()
-        factor = np.linalg.cholesky(responses)
-        turned = solve_triangular(factor, np.column_stack([answer, cross]), lower=True)
-        square = turned[:, 0] @ turned[:, 0] / len(answer)
-        logarithm.append(np.log(share) - np.log(np.diag(factor)).sum() - 0.5 * len(answer) * np.log(square))
-        means.append(turned[:, 0] @ turned[:, 1:])
-        squares.append(square)
-    shares = np.exp(np.array(logarithm) - np.max(logarithm))
+        return np.linalg.cholesky(responses)
+
+    logarithm, squares = np.empty((2, len(prior.share)))
+    for number, (moment, share) in enumerate(zip(prior.moment, prior.share, strict=True)):
+        factor = factor_of(moment)
+        turned = solve_triangular(factor, answer, lower=True, check_finite=False)
+        squares[number] = turned @ turned / len(answer)
+        likelihood = -np.log(np.diag(factor)).sum() - 0.5 * len(answer) * np.log(squares[number])
+        logarithm[number] = np.log(share) + likelihood
+    shares = np.exp(logarithm - logarithm.max())
     shares /= shares.sum()
-    return shares @ np.array(means), np.tensordot(shares * np.array(squares), prior.moment, axes=1)
+    mean = np.zeros(count)
+    # Few of some hundred families are likely at all; what the others would add is lost in rounding.
+    for likely in np.flatnonzero(shares > _LEAST_SHARE):
+        moment = prior.moment[likely]
+        turned = solve_triangular(factor_of(moment), np.column_stack([answer, seen @ moment]), lower=True)
+        mean += shares[likely] * (turned[:, 0] @ turned[:, 1:])
+    return mean, np.tensordot(shares * squares, prior.moment, axes=1)
 
 
 def lights_on(

@@ -14,7 +14,7 @@ import numpy as np
 from irodori.core.errors import counted
 from irodori.reflection.equation5 import angles_from_directions
 from irodori.reflection.fresnel import fresnel_array
-from irodori.reflection.lobe_arrays import evaluate
+from irodori.reflection.lobe_arrays import LobeAtAngles
 from irodori.reflection.registry import DEFAULT_LOBES
 
 #: Expected misfit of a photograph to the model, relative to its mean; independent readings that a photograph counts as.
@@ -60,6 +60,11 @@ class Lamps:
 def geometry_of(normal, view, direction) -> np.ndarray:
     """Return the angles θ_i, θ_r, θ_H, φ, (T, J, 4) rad, of T points with their normals under J lamps."""
     return angles_from_directions(normal[:, None, :], direction[None], view[:, None, :])
+
+
+def cosine_to_half(view, direction) -> np.ndarray:
+    """Return cosθ_H, (..., J), of J lamps in directions (J, 3) seen from directions (..., 3)."""
+    return np.sqrt(np.maximum(0.5 * (1.0 + view @ direction.T), 0.0))
 
 
 def register_lamps(response, normal, view, weight, direction, *, error_deg: float, n: float, k: float) -> Lamps:
@@ -109,9 +114,9 @@ def register_lamps(response, normal, view, weight, direction, *, error_deg: floa
 
     def model(lamps: np.ndarray, beta: float, mu: float) -> tuple[np.ndarray, np.ndarray]:
         """Return cosines of incidence and gloss, (T, J) each, for lamps of level 1."""
-        angles = geometry_of(normal, view, lamps)
-        gloss = beta * evaluate(DEFAULT_LOBES[0], mu, angles) * fresnel_array(np.cos(angles[..., 2]), n, k)
-        return np.maximum(np.cos(angles[..., 0]), 0.0), gloss
+        lobe = LobeAtAngles.under_lamps(DEFAULT_LOBES[0], normal, view, lamps)
+        gloss = beta * lobe.value(mu) * fresnel_array(cosine_to_half(view, lamps), n, k)
+        return np.maximum(normal @ lamps.T, 0.0), gloss
 
     def diffuse(cosine: np.ndarray, gloss: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return what gloss leaves of the responses, the diffuse weights and the sums that these are divided by."""

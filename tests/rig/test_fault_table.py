@@ -113,6 +113,7 @@ def outcome(rig: RigDevice, bench: Bench, command: str, act) -> tuple[str, float
     return "", bench.now - at[-1]
 
 
+@pytest.mark.default_cases(70)
 @pytest.mark.parametrize(("dialect", "fault", "command"), CASES)
 def test_the_person_is_told_what_the_table_says_and_no_later(monkeypatch, dialect, fault, command):
     rig = rig_of(ASCII if dialect == ASCII else "grbl")

@@ -75,7 +75,7 @@ def _spoil(path: Path) -> None:
     path.write_bytes(raw)
 
 
-@pytest.mark.default_cases(4)
+@pytest.mark.default_cases(2)
 @pytest.mark.stability(stage="capture", case="session killed at random moments")
 @pytest.mark.parametrize("done", [False, True], ids=["before the step", "after the step"])
 @pytest.mark.parametrize("situation", SITUATIONS)

@@ -178,8 +178,8 @@ REFUSED = {
 }  # fmt: skip
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.stability(stage="rectify", case="a level patch that is not there, covered, clipped or in shadow")
-@pytest.mark.default_cases(4)
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_patch_that_tells_nothing_is_refused_with_the_reason(tmp_path, definitions, case):
     patch, seen, words = REFUSED[case]

@@ -32,6 +32,7 @@ def test_a_glossy_ball_shows_where_the_light_stands(tmp_path, definitions, dista
     assert found is not None and abs(found.offset_deg - 1.2) < 0.2
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("scale", [LIGHT, CAMERA], ids=["light", "camera"])
 def test_a_scale_5_degrees_off_is_corrected_on_a_ball_and_both_are_named(tmp_path, definitions, scale, caplog):  # noqa: F811
     """A ball that is alike all around shows the angle between light and camera, which both scales change alike."""

@@ -258,7 +258,8 @@ def test_the_virtual_camera_photographs_a_sphere_of_triangles_as_the_sphere(tmp_
     assert apart.mean() < 1e-3 * pictures[0].mean() * 2 and apart.max() < 0.1 * pictures[0].max()
 
 
-@pytest.mark.parametrize("near", [pytest.param(False, marks=pytest.mark.heavy), True])
+@pytest.mark.heavy
+@pytest.mark.parametrize("near", [False, True])
 def test_a_lens_that_distorts_changes_nothing_that_is_recovered(tmp_path, definitions, near):
     lens = {"k1": -0.6, "k2": 0.3, "p1": 0.01, "p2": -0.01}
     found = []

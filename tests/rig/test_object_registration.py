@@ -142,11 +142,12 @@ def painted(tmp_path_factory, definitions):
     return files, register(files, whole, as_typed(definitions), Placing())
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     "laid_off, distance_mm, focal_mm",
     [
-        pytest.param((0.0,) * 6, 900.0, 50.0, marks=pytest.mark.heavy),
-        pytest.param(LAID_OFF, 900.0, 50.0, marks=pytest.mark.heavy),
+        ((0.0,) * 6, 900.0, 50.0),
+        (LAID_OFF, 900.0, 50.0),
         ((-1.2, 1.5, 0.6, 0.6, 0.5, -1.0), 850.0, 52.5),
     ],
     ids=["undisturbed", "2 mm and 1 degree", "jointly with distance and focal length"],

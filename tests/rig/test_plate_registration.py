@@ -71,7 +71,7 @@ def found_error_px(definitions, unfiltered, pose: Pose, plate) -> float:
 FROM_ABOVE = Pose(45.0, 0.0, 0.0)
 
 
-@pytest.mark.default_cases(5)
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("pose", "plate"),
     [

@@ -135,6 +135,7 @@ def test_a_large_error_of_patches_left_out_is_refused_beyond_the_limit(tmp_path)
     assert "calibration.max_level_difference" in refusal(tmp_path, unlike, settings=lenient).accepted
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.stability(stage="calibrate", case="white reference in other light than the chart")
 @pytest.mark.parametrize("level", [0.7, 1.43])
 @pytest.mark.parametrize(("bands", "named"), [(slice(0, 6), "filter"), (slice(3, 6), "filter in")])

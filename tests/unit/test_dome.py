@@ -46,7 +46,7 @@ def apart_deg(one, other) -> np.ndarray:
     return np.degrees(np.arccos(np.clip((one * other).sum(axis=1), -1.0, 1.0)))
 
 
-def pictures(gloss=GLOSS) -> list[np.ndarray]:
+def pictures(gloss) -> list[np.ndarray]:
     return [
         painted_ball(lamp, level, seed=number, **gloss)
         for number, (lamp, level) in enumerate(zip(DIRECTIONS, LEVELS, strict=True))
@@ -54,8 +54,13 @@ def pictures(gloss=GLOSS) -> list[np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def glossy():
-    return seen(pictures())
+def shown():
+    return pictures(GLOSS)
+
+
+@pytest.fixture(scope="module")
+def glossy(shown):
+    return seen(shown)
 
 
 def seen(shown):
@@ -152,11 +157,11 @@ def _own_lobes(monkeypatch):
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path, monkeypatch, shown):
     """Return a folder of photographs, a mask and a file of lights that are two degrees off."""
     monkeypatch.chdir(tmp_path)
     Path("My ball").mkdir()
-    for number, picture in enumerate(pictures()):
+    for number, picture in enumerate(shown):
         write_samples(f"My ball/{number}.png", sixteen_bits(picture))
     Path("mask").mkdir()
     disc = np.isfinite(Circle(*BALL).normals(SIZE)[..., 2])
@@ -245,9 +250,10 @@ def reliefs(gloss) -> list[str]:
 
 @pytest.mark.parametrize("command", [one for one in of_kind("dome") if "My coin" in one])
 @pytest.mark.parametrize("gloss", [{"beta": 0.0, "mu": 0.3}, pytest.param(GLOSS, marks=pytest.mark.heavy)])
-def test_the_normals_of_an_object_of_any_shape_are_found(command, gloss, folder, capsys, monkeypatch):
+def test_the_normals_of_an_object_of_any_shape_are_found(command, gloss, tmp_path, capsys, monkeypatch):
     """The outline is no circle; lamps are known from a ball. The mask leaves out what it does not cover."""
     monkeypatch.setattr("irodori.first_project.dome_command.names", lambda: ("gaussian",) if gloss["beta"] else ())
+    monkeypatch.chdir(tmp_path)
     words = words_of(command)[1:]
     files = [*reliefs(gloss), "My coin/mask.png"]
     assert main([part for word in words for part in (files if "*" in word else [word])]) == 0
@@ -279,7 +285,8 @@ def samples_of(path) -> np.ndarray:
 
 
 @pytest.mark.heavy
-def test_what_looks_round_but_is_flat_is_no_ball(folder, capsys, monkeypatch):
+def test_what_looks_round_but_is_flat_is_no_ball(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("irodori.first_project.dome_command.names", lambda: ("gaussian",))
     files = reliefs(GLOSS)
     disc = np.zeros((*SIZE, 3), dtype=np.uint8)
@@ -294,6 +301,7 @@ def test_what_looks_round_but_is_flat_is_no_ball(folder, capsys, monkeypatch):
         off = np.degrees(np.arccos(np.clip((file.read("normal") * truth).sum(axis=-1), -1.0, 1.0)))
     assert np.nanmedian(off) < 1.8
     capsys.readouterr()
+    monkeypatch.setattr("irodori.first_project.dome_command.names", lambda: ())  # the shape is told, whatever the gloss
     assert main([*words, "--shape", "ball"]) == 0
     assert "no ball" not in capsys.readouterr().out and not Path("coin/normals.png").exists()
 

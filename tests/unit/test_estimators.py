@@ -47,6 +47,7 @@ def test_twice_the_light_gives_twice_the_reflectance(solved, name, exponent):
                        atol=1e-10 * gain)  # fmt: skip
 
 
+@pytest.mark.default_cases(6)
 @pytest.mark.stability(stage="calibrate", case="responses scaled by 1e-6..1e6")
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("gain", [1e-6, 1e6, "mixed"])
@@ -108,6 +109,7 @@ def test_without_noise_wiener_and_local_explain_the_response():
         assert np.abs(again - response).max() <= 0.003
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", ["ridge", "wiener", "local", "kernel", "broad"])
 def test_knowing_the_noise_beats_the_pseudo_inverse(name):
     noise, rng = 0.01, np.random.default_rng(1)
@@ -194,6 +196,7 @@ def test_charts_that_determine_nothing_are_refused_with_the_reason(name, fault):
         checked_fit(name, chart, min(6, len(chart.spectra)))
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.stability(stage="calibrate", case="duplicate patches")
 @pytest.mark.parametrize("name", NAMES)
 def test_patches_that_occur_twice_do_no_harm(name):

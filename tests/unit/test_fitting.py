@@ -273,6 +273,7 @@ def test_no_observation_at_all_is_a_status_and_not_an_error():
     assert result.status == Status.TOO_FEW_OBSERVATIONS and np.isnan(result.alpha).all()
 
 
+@pytest.mark.default_cases(7)
 @pytest.mark.stability(stage="fit", case="NaN and infinity")
 @pytest.mark.parametrize("solver", ["varpro", "nlopt", "nlopt-reference"])
 @pytest.mark.parametrize("fault", ["zero weight", "nan", "inf", "-inf", "nan weight", "nan geometry", "inf geometry"])

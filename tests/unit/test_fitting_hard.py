@@ -57,6 +57,7 @@ def assert_sound(result, bounds=FREE, stating=(Status.OK, Status.DIFFUSE_ONLY, S
     assert not np.isinf(np.concatenate([result.alpha, result.alpha_error, result.residual_rms])).any()
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.stability(stage="fit", case="1 % noise", noise=0.01)
 @pytest.mark.stability(stage="fit", case="5 % noise", noise=0.05)
 @pytest.mark.parametrize("noise", [0.01, 0.05])

@@ -99,7 +99,8 @@ def test_the_jackknife_covers_the_truth_by_itself():
     for seed in range(100, 124):
         seen, _, _ = sitting(seed)
         for paint in (0, 1):
-            found = GlossSearch(readings(seen, halves() == paint), options).found
+            half = np.flatnonzero(halves() == paint)[::2]  # photographs' errors count most, however many texels tell
+            found = GlossSearch(readings(seen, half), options).found
             if found is not None:
                 z.append(np.abs(found.log_gloss - np.log(GLOSS[paint])) / np.sqrt(np.diag(found.error)))
     assert len(z) > 24 and 0.62 < np.mean(np.less(z, 1.0)) < 0.75 and np.mean(np.less(z, 2.0)) > 0.93

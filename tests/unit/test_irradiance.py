@@ -231,6 +231,7 @@ def test_a_map_has_the_first_of_doubled_heights_that_errs_little_and_states_its_
     assert off.max() <= max_error or height == most
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("place", [(0, 5), (31, 127), (32, 0), (12, 64)])
 def test_the_stated_error_holds_at_any_normal(place):
     sky = np.full((64, 128, 1), 1e-4, np.float32)

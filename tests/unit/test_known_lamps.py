@@ -116,6 +116,7 @@ def stated_error(recovery: LightRecovery, response: np.ndarray) -> float:
     return np.mean([adapted_errors(own, own + error @ weights) for error in drawn])
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "nm",
     [

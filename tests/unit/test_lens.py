@@ -120,6 +120,7 @@ def test_photographs_of_several_sizes_are_refused(tmp_path, capsys):
     assert "sheet01.dng: size: found 1200 x 400 pixels; accepted: 1200 x 800" in capsys.readouterr().err
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     "sheet, corners, paper",
     [

@@ -59,6 +59,7 @@ def test_the_error_of_the_light_angles_is_found_within_its_stated_error(poses):
     assert np.abs(deviations).max() < 3.0 and np.sqrt(np.mean(np.square(deviations))) < 1.7
 
 
+@pytest.mark.default_cases(5)
 @pytest.mark.stability(stage="fit", case="light angles of a surface that the lobe does not describe")
 @pytest.mark.parametrize("surface", ["ggx", "matt", "two lobes", "dusty", "acryl_blue", "garnet_red", "krylon_blue"])
 @pytest.mark.parametrize("poses", [SITTING, AROUND], ids=["sitting", "around"])
@@ -89,6 +90,7 @@ def test_angles_that_the_photographs_contradict_are_corrected_and_others_stay_as
     assert settle_light(0.2, 0.06, 1.0).used_deg == 0.2 and settle_light(0.1, 0.06, 1.0).used_deg == 0.0
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("offset_deg", [0.03, 1.2])
 def test_the_file_and_the_errors_of_angles_have_what_was_found_of_the_light(tmp_path, offset_deg):
     files, output = drawn(tmp_path, Correction()), tmp_path / "out.h5"

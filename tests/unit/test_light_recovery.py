@@ -146,11 +146,11 @@ def test_the_other_directions_of_a_room_tell_of_its_lamps():
     From draw to draw, the ratio of the errors scatters by 0.07 about 0.92: the bounds are two standard errors above.
     """
     alone, together = [], []
+    lamps = [spectrum(name) / spectrum(name).mean() for name in ("FL2", "FL11", "LED-B2", "D50", "HP4")]
+    priors = [prior_of_any_lamp(unlike(published_lamps(), lamp)) for lamp in lamps]
     for seed in range(10):
         rng, own = np.random.default_rng(5 + seed), camera(seed)
-        for name in ("FL2", "FL11", "LED-B2", "D50", "HP4"):
-            lamp = spectrum(name) / spectrum(name).mean()
-            known = prior_of_any_lamp(unlike(published_lamps(), lamp))
+        for lamp, known in zip(lamps, priors, strict=True):
             light = lamp * TCS[rng.choice(99, 8, replace=False)]
             response = light @ own.sensitivity.T
             for one, answer in zip(light, response, strict=True):

@@ -170,8 +170,8 @@ def refused(tmp_path, files, words, markers=SHEET, definition=BALL) -> str:
     return str(caught.value)
 
 
+@pytest.mark.heavy
 @pytest.mark.stability(stage="rectify", case="a printed sheet that is missing or contradicts pose or size")
-@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "number, angles, words",
     [

@@ -209,6 +209,7 @@ def within(paints, beta=TWO_BETA, mu=TWO_MU) -> np.ndarray:
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.stability(stage="fit", case="five per cent of readings clipped, unflagged", share=0.05)
 @pytest.mark.parametrize("share", [0.05, 0.1])
 @pytest.mark.parametrize(("dark", "beta"), [(0.3, (8.0, 4.0)), (0.3, (2.0, 0.6)), (0.4, (5.0, 2.0))])

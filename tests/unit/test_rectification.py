@@ -357,7 +357,7 @@ def tiled(tmp_path, definition, cuts=None):
     return whole, {name: np.concatenate([part[name] for part in parts]) for name in whole}
 
 
-@pytest.mark.default_cases(2)
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("cuts", [[9], [1, 2, 17]])
 @pytest.mark.parametrize("definition", [PLATE, SPHERE], ids=["plate", "sphere"])
 def test_tiles_give_the_fit_the_same_observations_to_the_bit(tmp_path, definition, cuts):

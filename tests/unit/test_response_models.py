@@ -81,6 +81,7 @@ def assert_within(best: BestResponse, true: np.ndarray) -> None:
     assert one >= 0.55 and two >= 0.88
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.stability(stage="calibrate", case="filter 3 nm off its table", shift=3.0)
 @pytest.mark.stability(stage="calibrate", case="filter's table 10 % too low", level=0.9)
 @pytest.mark.stability(stage="calibrate", case="filter with a narrow notch", curve="notch")
@@ -173,6 +174,7 @@ WRONG = {
 }
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.stability(stage="calibrate", case="table of another filter")
 @pytest.mark.parametrize(("wrong", "noise"), list(zip(WRONG, (0.0, 0.001, 0.01, 0.01), strict=True)))
 def test_the_table_of_another_filter_is_found_out_and_not_used(wrong, noise):

@@ -81,6 +81,7 @@ def apart_px(transform, shift_px=SHIFT_PX):
     return np.abs(found - SCALE * np.exp(1j * ROTATION_RAD) * p - complex(*shift_px)).max()
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("options", [OPTIONS, IngestOptions(demosaic="linear")], ids=["superpixel", "linear"])
 def test_the_filtered_bands_lie_on_the_unfiltered_ones(tmp_path, options):
     found = ingest(session(tmp_path), POSE, options)

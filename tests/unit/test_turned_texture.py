@@ -105,6 +105,7 @@ def test_what_was_typed_counts_by_its_error(first):
     assert (np.diag(loose.covariance) > 10.0 * np.diag(sure.covariance)).all()
 
 
+@pytest.mark.heavy
 def test_the_level_of_the_lamp_does_not_matter(first):
     own, brighter = side(2, (1.0, 0.0, -1.0)), side(2, (1.0, 0.0, -1.0), lambda p: paints(p) * [1.3, 1.2, 1.5])
     here, there = (turned(first, one, 5.0).rotation_deg for one in (own, brighter))

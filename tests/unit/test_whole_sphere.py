@@ -52,6 +52,7 @@ def test_the_middle_of_a_panorama_is_refused_and_the_whole_is_not(seed):
         assert "first" in contradiction(whole[MIDDLE])
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", ["lobby", "hall", "workshop", "museum"])
 def test_measured_places_are_panoramas_wherever_they_are_cut_and_their_middle_is_none(name):
     path = DATA / "environments" / f"{name}.exr"
