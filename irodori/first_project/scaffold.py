@@ -255,7 +255,7 @@ class Scaffold:
                 "place: the object's middle is where the axes of the rig meet",
             ]
             shape = self.answers.shape
-            if shape and shape["kind"] == "mesh":
+            if shape and "unit" in shape:
                 notes[subject].append(f"shape: the file's coordinates are in {shape['unit']}, and {shape['up']} is up")
             for axis in (_AZIMUTH, "camera_deg", "tilt_deg", "turn_deg"):
                 if axis in said:

@@ -96,7 +96,11 @@ def make_sky(environment: Environment) -> Sky:
 def _suns(density: np.ndarray, solid_angle: np.ndarray, drawn: float) -> tuple[np.ndarray, float]:
     """Return `Sky.suns` and `Sky.least` for the last column of its pixels, (h, w), and the share of light in it."""
     flat = density.ravel()
-    brightest = np.argpartition(flat, -min(_MOST_SUNS, flat.size))[-_MOST_SUNS:]
+    brightest = np.flatnonzero(flat > 0.0)
+    if not brightest.size:
+        return np.zeros((0, 3)), np.inf
+    if brightest.size > _MOST_SUNS:
+        brightest = brightest[np.argpartition(flat[brightest], -_MOST_SUNS)[-_MOST_SUNS:]]
     brightest = brightest[np.argsort(-flat[brightest], kind="stable")]
     probability = flat[brightest].astype(np.float64) * (_TWO_PI_SQUARED / flat.size)
     angle = np.broadcast_to(solid_angle, density.shape).ravel()[brightest].cumsum()
