@@ -302,7 +302,7 @@ def test_what_no_photograph_depends_on_takes_none_again(again):
 
 
 def test_a_camera_s_edited_chart_takes_no_other_photograph_again(again):
-    edit(again / "config/cameras/d5100-comb.yaml", {"chart.inset": 0.6})
+    edit(again / "config/cameras/d5100-comb.yaml", {"chart.patch_px": 18})
     rules = {rule for rule, _ in planned(snakemake(again, "--dry-run"))}
     assert {"capture_camera", "calibrate_camera"} <= rules
     others = {"capture_object", "capture_environment", "capture_photograph", "write_truth"}
