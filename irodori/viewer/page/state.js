@@ -320,7 +320,7 @@ window.Irodori = window.Irodori || {};
     return numbers;
   }
 
-  // As in irodori/spectra/tables.py, and the noise under 0 as a share of the peak as in irodori/spectra/spectral_files.py.
+  // The step as in irodori/spectra/tables.py; the noise under 0, as a share of the peak, as in spectral_files.py there.
   const MOST_STEP_NM = 20,
     NOISE = 0.01;
 
