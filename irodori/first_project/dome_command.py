@@ -16,7 +16,7 @@ from irodori.first_project.dome_photographs import DomePhotographs, Places, read
 from irodori.first_project.lights_command import add_names, add_outline, asked_circle, asked_mask, paired
 from irodori.fitting.one_gloss import MATT
 from irodori.fitting.unknown_shape import fit_unknown_shape, register_unknown_shape
-from irodori.rectification.circle_search import Circle
+from irodori.geometry.circle_search import Circle
 from irodori.rectification.lamp_registration import Lamps, geometry_of, register_lamps
 from irodori.rectification.photometric_stereo import LEAST_COSINE
 from irodori.reflection.registry import DEFAULT_LOBES, names

@@ -11,8 +11,8 @@ from irodori.config.capture_table import light_angles_deg
 from irodori.core.errors import InputError, counted
 from irodori.first_project.mirror_highlights import brightness, lamp_direction, outline, write_light_places
 from irodori.first_project.photograph_order import ORDERS, in_counting_order, in_order
+from irodori.geometry.circle_search import Circle, circle_of_mask
 from irodori.ingest.plausibility import camera_time
-from irodori.rectification.circle_search import Circle, circle_of_mask
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori lights") -> int:

@@ -14,8 +14,8 @@ from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.core.file_kinds import is_picture
 from irodori.export.pictures import stored_samples
+from irodori.geometry.circle_search import Circle, find_circle
 from irodori.ingest.mosaic import decode
-from irodori.rectification.circle_search import Circle, find_circle
 
 #: Pixels brighter than this share of the brightest one on the ball belong to a mirror image.
 _HIGHLIGHT = 0.5

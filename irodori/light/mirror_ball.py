@@ -15,11 +15,11 @@ import numpy as np
 from irodori.config.models import MirrorBallSource, Size
 from irodori.core.errors import InputError, counted
 from irodori.core.progress import LOGGER
+from irodori.geometry.circle_search import LEAST_SEEN, Circle, find_circle, seen_along
 from irodori.light.environment_file import directions
 from irodori.light.light_recovery import LightRecovery
 from irodori.light.omnidirectional import OmnidirectionalPicture, bands
 from irodori.light.placed_lights import direction_of
-from irodori.rectification.circle_search import LEAST_SEEN, Circle, find_circle, seen_along
 from irodori.reflection.fresnel import fresnel
 from irodori.spectra.grid import SAMPLES
 from irodori.spectra.published import refractive_index, spectrum

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from irodori.core.errors import InputError
-from irodori.rectification.circle_search import (
+from irodori.geometry.circle_search import (
     Circle,
     _edges,
     _fitted,

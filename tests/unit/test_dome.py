@@ -22,7 +22,7 @@ from irodori.first_project.dome_photographs import read_photographs
 from irodori.first_project.light_places import read_lamps, write_lamps
 from irodori.first_project.mirror_highlights import write_light_places
 from irodori.fitting.one_gloss import MATT, fit_surface
-from irodori.rectification.circle_search import Circle, circle_of_mask
+from irodori.geometry.circle_search import Circle, circle_of_mask
 from irodori.rectification.lamp_registration import Lamps, geometry_of, register_lamps
 from irodori.rectification.photometric_stereo import LEAST_COSINE
 

@@ -15,7 +15,7 @@ from irodori.command_line import main
 from irodori.core.errors import InputError
 from irodori.first_project.light_places import read_light_places
 from irodori.first_project.mirror_highlights import brightness, lamp_direction, outline
-from irodori.rectification.circle_search import Circle, circle_of_mask, find_circle
+from irodori.geometry.circle_search import Circle, circle_of_mask, find_circle
 
 REAL = ROOT.parent / "shared" / "data" / "photographs" / "ball"
 
