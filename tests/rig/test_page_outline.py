@@ -119,7 +119,7 @@ def test_nothing_is_drawn_where_no_object_stands_or_the_lens_is_unknown(tmp_path
         page = visit(sitting.server.url)
         says(page, "white")
         press(page, "Done")
-        says(page, "comb filter in")
+        says(page, "Take the comb filter out")
         pictured(page, 120)
         assert not page.locator("#outline").is_visible() and not page.locator("#lines").is_visible()
         assert sitting.dialogue.view.shown.outline is None

@@ -184,7 +184,7 @@ def test_a_documented_command_finds_lamps(command, folder, tmp_path):
 
 def test_the_command_refuses_in_one_sentence(folder, capsys):
     for more, told in (
-        (["--names", "a.png"], "11 photographs of the ball and 1 names"),
+        (["--names", "a.png"], "11 photographs of the ball and 1 name;"),
         (["--mask", "small.png"], "20 x 20 pixels; accepted: 170 x 120"),
         (["small.png"], "20 x 20 pixels; accepted: 170 x 120 pixels, as chrome.0.png"),
         (["none.png"], "none.png"),
