@@ -375,12 +375,11 @@ def test_the_room_has_windows_lamps_and_floor_where_they_should_be(definitions):
 
 
 def test_the_room_is_photographed_as_a_panorama_that_turns_to_the_right(definitions):
-    definition = {**definitions["environments"]["classroom"], "image": {"width": 40, "height": 20}}
     rig_light = spectrum("A")
-    mosaic = room_mosaic(made(EnvironmentDefinition, definition), rig_light, np.full((3, 61), 1 / 61))
-    expected = room_coefficients(made(VirtualRoom, definition["virtual"]), 40, 20) @ (
-        source_spectra(made(VirtualRoom, definition["virtual"]), rig_light)[1] / rig_light
-    ).mean(axis=1)
+    room = made(VirtualRoom, definitions["environments"]["classroom"]["virtual"])
+    coefficients = room_coefficients(room, 40, 20)
+    mosaic = room_mosaic(room, coefficients, rig_light, np.full((3, 61), 1 / 61))
+    expected = coefficients @ (source_spectra(room, rig_light)[1] / rig_light).mean(axis=1)
     assert np.allclose(from_panorama(mosaic[::2, ::2, None])[..., 0], expected, rtol=1e-6)
     assert not np.allclose(mosaic[::2, ::2], expected, rtol=0.1)
 

@@ -22,6 +22,7 @@ from irodori.config.models import (
     LevelPatch,
     Markers,
     Rig,
+    VirtualRoom,
 )
 from irodori.config.parts import AnyCamera
 from irodori.geometry.embree import Tracer
@@ -37,7 +38,7 @@ from irodori.geometry.rig_frame import (
 from irodori.geometry.shapes.placement import Placement, laid, with_table
 from irodori.light.omnidirectional import to_panorama
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
-from irodori.simulation.virtual_rig.classroom import light_on_chart, room_coefficients, source_spectra
+from irodori.simulation.virtual_rig.classroom import light_on_chart, source_spectra
 from irodori.simulation.virtual_rig.imaging import RigView, expose_object
 from irodori.simulation.virtual_rig.imperfections import lamp_light
 from irodori.simulation.virtual_rig.samples import Sample
@@ -306,21 +307,19 @@ def _patch_at(mosaic_xy, chart: Chart, camera: AnyCamera, rig: Rig, pose: Pose, 
     return np.where(patch, row * columns + column, rows * columns)
 
 
-def room_mosaic(definition: EnvironmentDefinition, light: np.ndarray, band_weights) -> np.ndarray:
+def room_mosaic(room: VirtualRoom, coefficients: np.ndarray, light: np.ndarray, band_weights) -> np.ndarray:
     """Return the mosaic of an omnidirectional picture of a virtual room, a panorama whose centre looks towards +x.
 
     Parameters
     ----------
-    definition : EnvironmentDefinition
+    room : VirtualRoom
+    coefficients : (height, width, sources) float
+        What `room_coefficients` gives of the room: the same for every photograph of it.
     light : (61,) float
         Spectrum E(λ) of the rig's light.
     band_weights : (3, 61) float
         Weights of the filter state.
     """
-    image, room = definition.image, definition.virtual
-    if image is None or room is None:
-        raise ValueError("an environment without the blocks image and virtual; accepted: a room of the virtual rig")
-    coefficients = room_coefficients(room, image.width, image.height)
     _names, spectra = source_spectra(room, light)
     # Band weights are for reflectances under the rig's light; a radiance is that light times a reflectance.
     bands = coefficients @ (spectra / light @ band_weights.T)

@@ -9,9 +9,10 @@ import numpy as np
 
 from irodori.capture.rig.devices import CameraDevice, DeviceError
 from irodori.config.capture_table import FILTERS, Pose, Shot, chart_capture, room_chart_capture
-from irodori.config.models import Camera, Chart, EnvironmentDefinition, Object, Rig
+from irodori.config.models import Camera, Chart, EnvironmentDefinition, Object, Rig, VirtualRoom
 from irodori.config.parts import AnyCamera, PhotographedObject, SceneRadiance
 from irodori.simulation.virtual_rig.bench import Bench
+from irodori.simulation.virtual_rig.classroom import room_coefficients
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 from irodori.simulation.virtual_rig.imperfections import Faults, lamp_light
 from irodori.simulation.virtual_rig.samples import Sample
@@ -84,6 +85,16 @@ class VirtualCamera(CameraDevice):
             raise DeviceError("nothing is known of a scene; accepted: a session that photographs one")
         return scene_radiance(self.subject.radiance, self.optics)
 
+    @cached_property
+    def _room(self) -> tuple[VirtualRoom, np.ndarray]:
+        """The virtual room, and the share of each of its sources in every pixel of its panorama."""
+        subject = self.subject
+        if not isinstance(subject, EnvironmentDefinition) or subject.image is None or subject.virtual is None:
+            raise DeviceError(
+                "an environment without the blocks image and virtual; accepted: a room of the virtual rig"
+            )
+        return subject.virtual, room_coefficients(subject.virtual, subject.image.width, subject.image.height)
+
     @property
     def _charts(self) -> dict[str, Chart]:
         """Definition of every chart, by the subject's name on the bench; none outside a camera's own session."""
@@ -129,7 +140,8 @@ class VirtualCamera(CameraDevice):
         weights = self.band_weights[3 * state : 3 * state + 3]
         if subject == "environment" and isinstance(self.subject, EnvironmentDefinition):
             # A panorama is stitched or unwrapped: vignetting and hot pixels are corrected there.
-            return room_mosaic(self.subject, self.light, weights), 0.0
+            room, coefficients = self._room
+            return room_mosaic(room, coefficients, self.light, weights), 0.0
         optics = self.optics
         height, width = optics.height_px, optics.width_px
         if subject == "dark":
