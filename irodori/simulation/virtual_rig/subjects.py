@@ -16,7 +16,6 @@ from irodori.config.capture_table import Pose, flat_incidence_rad
 from irodori.config.models import (
     Camera,
     Chart,
-    EnvironmentDefinition,
     FurtherPlacement,
     LaidOff,
     LevelPatch,
@@ -38,9 +37,8 @@ from irodori.geometry.rig_frame import (
 from irodori.geometry.shapes.placement import Placement, laid, with_table
 from irodori.light.omnidirectional import to_panorama
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
-from irodori.simulation.virtual_rig.classroom import light_on_chart, source_spectra
+from irodori.simulation.virtual_rig.classroom import source_spectra
 from irodori.simulation.virtual_rig.imaging import RigView, expose_object
-from irodori.simulation.virtual_rig.imperfections import lamp_light
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.spectra.published import chart_spectra
 from irodori.spectra.white_reference import white_reflectance
@@ -251,18 +249,16 @@ def chart_mosaic(chart: Chart, camera: AnyCamera, rig: Rig, pose: Pose, ideal_fr
 
 
 def room_chart_mosaic(
-    definition: EnvironmentDefinition, name: str, camera: AnyCamera, rig: Rig, ideal_from_seen, band_weights
+    chart: Chart, light: np.ndarray, camera: AnyCamera, rig: Rig, ideal_from_seen, band_weights
 ) -> np.ndarray:
     """Return the mosaic of a colour chart in a virtual room, as large as the camera's own chart on the rig.
 
-    ``name`` is one of the definition's ``room_charts``; other parameters are as in `object_mosaic`.
+    ``light`` is the light of the room on the chart, (61,), relative to the rig's light at normal incidence; other
+    parameters are as in `object_mosaic`.
     """
-    room, light = definition.virtual, lamp_light(rig)
-    assert room is not None and camera.poses is not None  # checked: the rig is virtual
-    relative = light_on_chart(room, room.charts[name], light) / light
+    assert camera.poses is not None  # checked: the rig is virtual
     pose = Pose(**vars(camera.poses.chart))
-    chart = definition.room_charts[name]
-    return _chart_picture(_patch_bands(chart, relative, band_weights), chart, camera, rig, pose, ideal_from_seen)
+    return _chart_picture(_patch_bands(chart, light, band_weights), chart, camera, rig, pose, ideal_from_seen)
 
 
 def _patch_bands(chart: Chart, light: np.ndarray | float, band_weights) -> np.ndarray:

@@ -12,7 +12,7 @@ from irodori.config.capture_table import FILTERS, Pose, Shot, chart_capture, roo
 from irodori.config.models import Camera, Chart, EnvironmentDefinition, Object, Rig, VirtualRoom
 from irodori.config.parts import AnyCamera, PhotographedObject, SceneRadiance
 from irodori.simulation.virtual_rig.bench import Bench
-from irodori.simulation.virtual_rig.classroom import room_coefficients
+from irodori.simulation.virtual_rig.classroom import light_on_chart, room_coefficients
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 from irodori.simulation.virtual_rig.imperfections import Faults, lamp_light
 from irodori.simulation.virtual_rig.samples import Sample
@@ -103,11 +103,17 @@ class VirtualCamera(CameraDevice):
         further = {chart_capture(name): chart for name, chart in self.camera.further_charts.items()}
         return {"chart": self.camera.chart, **further}
 
-    @property
-    def _room_charts(self) -> dict[str, str]:
-        """Name of every chart in the room, by the subject's name on the bench."""
-        charts = self.subject.room_charts if isinstance(self.subject, EnvironmentDefinition) else ()
-        return {room_chart_capture(name): name for name in charts}
+    @cached_property
+    def _room_charts(self) -> dict[str, tuple[Chart, np.ndarray]]:
+        """Every chart in the room by the subject's name on the bench, and the light on it, relative to the rig's."""
+        subject = self.subject
+        if not isinstance(subject, EnvironmentDefinition) or subject.virtual is None:
+            return {}
+        room = subject.virtual
+        return {
+            room_chart_capture(name): (chart, light_on_chart(room, room.charts[name], self.light) / self.light)
+            for name, chart in subject.room_charts.items()
+        }
 
     @cached_property
     def _hot_rate_e_per_s(self) -> np.ndarray:
@@ -152,10 +158,9 @@ class VirtualCamera(CameraDevice):
             response = white_mosaic(self.camera, self.rig, pose, plate, weights)
         elif subject in self._charts:
             response = chart_mosaic(self._charts[subject], self.camera, self.rig, pose, plate, weights)
-        elif isinstance(self.subject, EnvironmentDefinition) and subject in self._room_charts:
-            response = room_chart_mosaic(
-                self.subject, self._room_charts[subject], self.camera, self.rig, plate, weights
-            )
+        elif subject in self._room_charts:
+            chart, light = self._room_charts[subject]
+            response = room_chart_mosaic(chart, light, self.camera, self.rig, plate, weights)
         elif subject == "scene":
             response = scene_mosaic(self._scene, self.light, optics, plate, weights)
         elif subject == "object":
