@@ -13,6 +13,7 @@ from irodori.config.models import PlacedChart, RoomLamps, RoomWindow, VirtualRoo
 from irodori.light.environment_file import directions
 from irodori.spectra.published import light, spectrum
 
+_BLOCK_ROWS = 16  # of a panorama that are traced at once: what the processor's cache holds
 _CHART_COLUMNS = 400  # columns of the room's image from which the irradiance of a chart is summed
 
 
@@ -43,18 +44,18 @@ def source_spectra(room: VirtualRoom, rig_light: np.ndarray) -> tuple[list[str],
     return names, np.stack(spectra)
 
 
-def trace_room(room: VirtualRoom, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the source that is visible in each direction, and its shading.
+def trace_room(room: VirtualRoom, width: int, height: int, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    """Return the source that is visible in each direction of some rows of a panorama, and its shading.
 
     Returns
     -------
-    source : (height, width) int8, index into `source_spectra`
-    shading : (height, width) float64, factor on the source's radiance
+    source : (rows, width) int8, index into `source_spectra`
+    shading : (rows, width) float64, factor on the source's radiance
     """
     size = np.array([room.room_m.width, room.room_m.depth, room.room_m.height])
     eye = np.asarray(room.eye_m)
     low, high = np.array([-size[0] / 2, -size[1] / 2, 0.0]), np.array([size[0] / 2, size[1] / 2, size[2]])
-    direction, _ = directions(width, height)
+    direction, _ = directions(width, height, rows)
     with np.errstate(divide="ignore"):
         distance = np.where(direction > 0, (high - eye) / direction, (low - eye) / direction)
     axis = np.argmin(distance, axis=-1)
@@ -62,7 +63,7 @@ def trace_room(room: VirtualRoom, width: int, height: int) -> tuple[np.ndarray, 
     x, y, z = point[..., 0], point[..., 1], point[..., 2]
     upward = np.take_along_axis(direction, axis[..., None], axis=-1)[..., 0] > 0
 
-    source = np.full((height, width), 2, dtype=np.int8)
+    source = np.full(axis.shape, 2, dtype=np.int8)
     source[(axis == 2) & upward] = 0
     source[(axis == 2) & ~upward] = 1
     source[(axis == 1) & upward & (np.abs(x) < 2.0) & (np.abs(z - 1.5) < 0.6)] = 3
@@ -83,10 +84,15 @@ def trace_room(room: VirtualRoom, width: int, height: int) -> tuple[np.ndarray, 
 
 def room_coefficients(room: VirtualRoom, width: int, height: int) -> np.ndarray:
     """Return the share of each source in every pixel, (height, width, sources) float32, from 2 x 2 samples a pixel."""
-    source, shading = trace_room(room, 2 * width, 2 * height)
     sources = len(source_spectra(room, np.ones(61))[0])
-    fine = np.eye(sources, dtype=np.float32)[source] * shading[..., None].astype(np.float32)
-    return fine.reshape(height, 2, width, 2, sources).mean(axis=(1, 3))
+    shares = np.empty((height, width, sources), dtype=np.float32)
+    for first in range(0, height, _BLOCK_ROWS):
+        block = shares[first : first + _BLOCK_ROWS]
+        rows = slice(2 * first, 2 * (first + len(block)))
+        source, shading = trace_room(room, 2 * width, 2 * height, rows)
+        fine = np.eye(sources, dtype=np.float32)[source] * shading[..., None].astype(np.float32)
+        block[:] = fine.reshape(len(block), 2, width, 2, sources).mean(axis=(1, 3))
+    return shares
 
 
 def light_on_chart(room: VirtualRoom, place: PlacedChart, rig_light: np.ndarray) -> np.ndarray:
