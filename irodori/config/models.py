@@ -712,7 +712,8 @@ class ReferenceIntegrator(Definition):
     #: of it is seen; a small picture goes without, because filling takes time (true or false).
     cache: bool = True
 
-    #: Standard error of a pixel over its radiance (share): where one has more, log and report say so.
+    #: Standard error of a pixel over its radiance, both of the 7 x 7 pixels around it where nothing is denoised
+    #: (share): where one has more, log and report say so.
     max_relative_standard_error: float = 1.0
 
     #: Seed of the random numbers (count).

@@ -496,9 +496,11 @@ class _Reference(Renderer):
 
 def _finished(picture) -> tuple[np.ndarray, dict]:
     """Return the radiance of a path-traced picture, denoised if it has two halves, and its errors."""
-    from irodori.rendering.reference.converging_picture import pooled
+    from irodori.rendering.reference.converging_picture import mean_around, pooled
 
-    traced = _relative(pooled(picture.standard_error[..., 0]), picture.radiance)
+    # Both over the same pixels: beside an outline the error of bright pixels is none of a dark one.
+    around = mean_around(picture.radiance.mean(axis=-1, dtype=np.float64))
+    traced = _relative(pooled(picture.standard_error[..., 0]), around)
     counted = {"fireflies": count_fireflies(picture)}
     if picture.halves is None:
         return picture.radiance, {"relative_standard_error": traced, **counted}
@@ -508,7 +510,7 @@ def _finished(picture) -> tuple[np.ndarray, dict]:
     radiance, error = denoise(picture.halves)
     distance = distance_to_unbiased(picture.halves, radiance)
     return radiance, {
-        "relative_standard_error": _relative(error, radiance),
+        "relative_standard_error": _relative(error, radiance.mean(axis=-1)),
         **counted,
         "denoised": {
             "seconds": time.perf_counter() - start,
@@ -543,9 +545,8 @@ def count_fireflies(picture) -> int:
 
 
 def _relative(error: np.ndarray, radiance: np.ndarray) -> dict[str, float]:
-    """Return mean, 95th percentile and maximum of the pixels' errors (height, width) over their mean radiance."""
-    mean = radiance.mean(axis=-1)
-    relative = np.divide(error, mean, out=np.zeros(mean.shape), where=mean > 0)
+    """Return mean, 95th percentile and maximum of errors over radiances of the same pixels, (height, width) each."""
+    relative = np.divide(error, radiance, out=np.zeros(radiance.shape), where=radiance > 0)
     return {
         "mean": float(relative.mean()),
         "p95": float(np.percentile(relative, 95)),

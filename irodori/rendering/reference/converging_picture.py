@@ -237,13 +237,18 @@ def pooled(error: np.ndarray) -> np.ndarray:
     The squared difference of two sets is an unbiased estimate of the variance, but its scatter is larger than its
     value. Neighbouring pixels mostly have similar noise and are averaged.
     """
+    return np.sqrt(mean_around(np.square(error, dtype=np.float64)))
+
+
+def mean_around(values: np.ndarray) -> np.ndarray:
+    """Return the mean of values (height, width) over the 7 x 7 pixels around each pixel."""
     from scipy.ndimage import convolve1d  # slow to import
 
-    squares, even = np.square(error, dtype=np.float64), np.full(_NEIGHBOURS, 1.0 / _NEIGHBOURS)
+    even = np.full(_NEIGHBOURS, 1.0 / _NEIGHBOURS)
     for axis in range(2):
         # `uniform_filter` uses a running sum, whose rounding error next to a sun exceeds the errors of dark pixels.
-        squares = convolve1d(squares, even, axis, mode="nearest")
-    return np.sqrt(squares)
+        values = convolve1d(values, even, axis, mode="nearest")
+    return values
 
 
 def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
