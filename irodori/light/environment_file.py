@@ -60,12 +60,19 @@ class PixelNoise:
     response: np.ndarray
     light: np.ndarray
 
-    def drawn(self, coefficients: np.ndarray, basis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Draw noise for every pixel of coefficients, (..., k), on a basis, (61, k); return (..., k) float32."""
+    def deviation(self, coefficients: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        """Return the standard deviation of the responses to light, (..., bands) float32.
+
+        The light is given by coefficients, (..., k) float32, on a basis, (61, k).
+        """
         response = coefficients @ np.float32(basis.T @ self.response.T)
         variance = merged_variance(self.exposure_noise, self.exposure_limit, response)
-        noise = rng.standard_normal(variance.shape, dtype=np.float32)
-        noise *= np.sqrt(variance, out=variance)
+        return np.sqrt(variance, out=variance)
+
+    def drawn(self, deviation: np.ndarray, basis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Draw noise of the light for every pixel, (..., k) float32, from what `deviation` gives on the same basis."""
+        noise = rng.standard_normal(deviation.shape, dtype=np.float32)
+        noise *= deviation
         return noise @ np.float32(self.light @ np.linalg.pinv(basis).T)
 
 
@@ -223,11 +230,17 @@ class Environment:
             return other
         from irodori.light.irradiance import Integrator
 
-        noise = self.noise.drawn(self.coefficients, self.basis, rng)
+        noise = self.noise.drawn(self._deviation, self.basis, rng)
         height, width = self.irradiance.shape[:2]
         of_noise = Integrator(noise)(directions(width, height)[0]).astype(np.float32)
         # Blurred light in the file is that of the photograph, without this noise.
         return replace(other, coefficients=self.coefficients + noise, irradiance=self.irradiance + of_noise, file=None)
+
+    @cached_property
+    def _deviation(self) -> np.ndarray:
+        """The standard deviation of the responses, which all draws share, (height, width, bands) float32."""
+        assert self.noise is not None  # as `drawn` has seen
+        return self.noise.deviation(self.coefficients, self.basis)
 
     def upward_white(self) -> np.ndarray:
         """Return the radiance of a perfect diffuser that faces up, (61,): the scene's white."""

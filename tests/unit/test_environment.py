@@ -264,7 +264,8 @@ def test_the_stage_states_the_noise_of_the_photograph_and_says_so_where_the_came
     # Each wavelength is twice the response of its band.
     true = 2.0 * to_panorama(response)
     off = (light.coefficients @ light.basis.T)[..., [10, 30, 50]] - true
-    drawn = np.stack([light.noise.drawn(light.coefficients, light.basis, rng) @ light.basis.T for _ in range(200)])
+    deviation = light.noise.deviation(light.coefficients, light.basis)
+    drawn = np.stack([light.noise.drawn(deviation, light.basis, rng) @ light.basis.T for _ in range(200)])
     stated = drawn[..., [10, 30, 50]].std(axis=0)
     np.testing.assert_allclose(np.mean(stated**2, axis=(0, 1)), 4.0 * (model[:, 0] + 0.6 * model[:, 1]), rtol=0.1)
     for limit, least, most in ((1.0, 0.62, 0.75), (2.0, 0.93, 1.0)):

@@ -477,7 +477,8 @@ def test_the_stated_noise_is_the_scatter_of_repeated_photographs(seen, prior, el
     photographs = rng.poisson(response / shot, (400, *response.shape)) * shot
     photographs = photographs + 2.0 * shot * rng.standard_normal(photographs.shape)
     off = (recovery.weights(photographs) - own) @ recovery.basis.T @ matching
-    drawn = noise.drawn(np.broadcast_to(own, (400, *own.shape)), recovery.basis, rng) @ recovery.basis.T @ matching
+    deviation = noise.deviation(np.broadcast_to(own, (400, *own.shape)), recovery.basis)
+    drawn = noise.drawn(deviation, recovery.basis, rng) @ recovery.basis.T @ matching
     stated = np.sqrt(np.square(drawn).mean(axis=0))
     assert stated == pytest.approx(np.sqrt(np.square(off).mean(axis=0)), rel=0.3)
     one, two = (np.mean(np.abs(off) <= n * stated) for n in (1, 2))
@@ -519,5 +520,5 @@ def test_noise_of_a_drawn_light_differs_from_pixel_to_pixel_and_mostly_cancels_i
     of_irradiance = np.stack([one.irradiance[3, 5] for one in draws]) - flat[3, 5]
     assert of_irradiance.var(axis=0) == pytest.approx(expected, rel=0.2)
     assert all((one.basis == basis).all() and one.file is None for one in draws)
-    black = noise.drawn(np.full((20000, 2), -9.0, np.float32), basis, rng)
+    black = noise.drawn(noise.deviation(np.full((20000, 2), -9.0, np.float32), basis), basis, rng)
     assert black.var(axis=0) == pytest.approx([0.04, 0.04], rel=0.05)

@@ -224,7 +224,8 @@ def test_noise_of_a_photographed_ball_counts_by_what_the_ball_takes_of_the_light
                             prior=prior_of(calibration))  # fmt: skip
         light = Environment.load(tmp_path / "e.h5")
         rng = np.random.default_rng(6)
-        noise = np.stack([light.noise.drawn(light.coefficients, light.basis, rng) for _ in range(50)])
+        deviation = light.noise.deviation(light.coefficients, light.basis)
+        noise = np.stack([light.noise.drawn(deviation, light.basis, rng) for _ in range(50)])
         found.append((noise @ light.basis.T)[..., [10, 30, 50]].var(axis=0))
         seen = share * 0.5 * (light.coefficients @ light.basis.T)[..., [10, 30, 50]]
         expected = np.square(2.0 / share) * (1e-4 + 1e-3 * seen)
