@@ -222,6 +222,11 @@ MISTAKES = (
          "tests/unit/test_light_angle.py::test_angles_that_the_photographs_contradict_are_corrected_and_others_stay_as_typed"),
     ),
     Mistake(
+        "camera mounted upside down or on its side", REGISTRATION, REFUSED, "if the camera is mounted turned by",
+        _OUTLINES,
+        (f"{_REGISTRATION}::test_a_camera_that_is_mounted_turned_is_named_and_then_measures_as_an_upright_one",),
+    ),
+    Mistake(
         "two poses of different camera angles exchanged in both filter states, flat object", REGISTRATION, REFUSED,
         "the object in the pose of ",
         _OUTLINES, (f"{_REGISTRATION}::test_two_exchanged_lines_of_a_table_are_named",),

@@ -1467,6 +1467,10 @@ class Optics(Definition):
     #: Where the optical axis meets the picture, x then y, in mosaic pixels.
     principal_point_px: tuple[float, float]
 
+    #: Angle by which the camera is mounted on the rig turned about its line of sight, counter-clockwise seen from
+    #: behind it, in degrees: 180 is upside down, 90 and 270 on its side.
+    roll_deg: Literal[0, 90, 180, 270] = 0
+
     #: Distortion of the lens in the coefficients of OpenCV, over coordinates at unit distance; none where absent. It
     #: must not fold inside the picture.
     distortion: Distortion | None = None

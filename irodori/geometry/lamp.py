@@ -89,7 +89,7 @@ class Lamp:
         if not self.is_near:
             return np.ones(mosaic_xy.shape[:-1])
         normal = rig_from_object(pose)[:, 2]
-        view = pinhole.directions(mosaic_xy, rig_from_camera(pose))
+        view = pinhole.directions(mosaic_xy, rig_from_camera(pose, pinhole.quarter_turns))
         eye = camera_distance_mm * to_camera(pose)
         with np.errstate(divide="ignore", invalid="ignore"):
             along = -(eye @ normal) / (view @ normal)

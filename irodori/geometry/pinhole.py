@@ -83,6 +83,8 @@ class Pinhole:
         Size of the mosaic.
     distortion : (8,) tuple
         k1, k2, p1, p2, k3, k4, k5, k6.
+    quarter_turns : int
+        How the camera is mounted on the rig, see `irodori.geometry.rig_frame.rig_from_camera`.
     """
 
     focal_px: float
@@ -90,6 +92,7 @@ class Pinhole:
     width_px: int
     height_px: int
     distortion: tuple[float, ...] = (0.0,) * len(COEFFICIENTS)
+    quarter_turns: int = 0
 
     @classmethod
     def from_optics(cls, optics: "Optics") -> "Pinhole":
@@ -106,6 +109,7 @@ class Pinhole:
             width_px=optics.width_px,
             height_px=optics.height_px,
             distortion=tuple(coefficients_of(optics.distortion)),
+            quarter_turns=optics.roll_deg // 90,
         )
         camera._check_fold()
         return camera

@@ -122,7 +122,7 @@ def silhouette(shape: Shape, pinhole: Pinhole, distance_mm: float, pose: "Pose",
     """
     rows, columns = (-(-(length // 2) // side) for length in (pinhole.height_px, pinhole.width_px))
     mask = np.zeros((rows, columns), dtype=bool)
-    axes, eye = rig_from_camera(pose), distance_mm * to_camera(pose)
+    axes, eye = rig_from_camera(pose, pinhole.quarter_turns), distance_mm * to_camera(pose)
     # Rays are traced only where the cube around the object may be seen.
     reach = shape.reach_mm * 1.05
     across = np.stack(np.meshgrid(*[(-reach, 0.0, reach)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -51,10 +51,21 @@ def rig_from_object(pose) -> np.ndarray:
     return rotation_y(math.radians(pose.tilt_deg)) @ rotation_z(math.radians(pose.turn_deg))
 
 
-def rig_from_camera(pose) -> np.ndarray:
-    """Return the (3, 3) rotation from camera axes (x right, y down, z forward) to the rig."""
+def rig_from_camera(pose, quarter_turns: int = 0) -> np.ndarray:
+    """Return the (3, 3) rotation from camera axes (x right, y down, z forward) to the rig.
+
+    Parameters
+    ----------
+    pose : Pose
+    quarter_turns : int
+        Quarter turns by which the camera is mounted turned about z, counter-clockwise as seen from behind it: 2 is
+        upside down. At 0, up in the picture is the rig's +y.
+    """
     c, s = math.cos(math.radians(pose.camera_deg)), math.sin(math.radians(pose.camera_deg))
-    return np.array([[c, 0.0, s], [0.0, -1.0, 0.0], [s, 0.0, -c]])
+    right, down, forward = np.array([c, 0.0, s]), np.array([0.0, -1.0, 0.0]), np.array([s, 0.0, -c])
+    for _ in range(quarter_turns % 4):
+        right, down = -down, right
+    return np.stack([right, down, forward], axis=1)
 
 
 def look_at(position, target, up) -> np.ndarray:

@@ -85,7 +85,8 @@ def inner_surface(problem: "Problem", number: int, tracer: Tracer, xy: np.ndarra
     unit = max(1.0, view.search.sigma)
     correction, pose = problem.standing(number, problem.unknowns)
     camera = problem.setup.corrected(correction)
-    eye, axes = camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose)
+    eye = camera.camera_distance_mm * to_camera(pose)
+    axes = rig_from_camera(pose, camera.pinhole.quarter_turns)
     inside = xy[:, None] - (unit * _DEPTH / view.picture.scale)[:, None] * view.outward[:, None]
     world, is_on = first_hit(tracer, camera.pinhole, eye, axes, inside.reshape(-1, 2))
     skin, normals, _ = problem.skin
@@ -186,7 +187,7 @@ def _seen_in(problem: "Problem", number: int, place: np.ndarray, normal: np.ndar
     light, power, lamp_mm = camera.lamp.seen_from(world, pose)
     to_light = light @ turn
     incidence = np.sum(normal[point] * to_light, axis=1)
-    xy = camera.pinhole.project(world, eye, rig_from_camera(pose))
+    xy = camera.pinhole.project(world, eye, rig_from_camera(pose, camera.pinhole.quarter_turns))
     seen = view.search.sampled(view.search.bands[[GREEN]], view.picture.place(xy))[:, 0]
     used = (incidence > _LEAST_COSINE) & np.isfinite(seen)
     point, to_light, incidence = point[used], to_light[used], incidence[used]

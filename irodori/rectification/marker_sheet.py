@@ -111,7 +111,8 @@ class MarkerSheet:
         NaN for lines of sight that do not meet the plane of the sheet. ``pose`` and ``camera`` are corrected already.
         """
         rotation, sheet = rig_from_object(pose), rotation_xyz(values[3:6])
-        way = camera.pinhole.directions(2.0 * (xy + 0.5), rig_from_camera(pose)) @ rotation @ sheet
+        axes = rig_from_camera(pose, camera.pinhole.quarter_turns)
+        way = camera.pinhole.directions(2.0 * (xy + 0.5), axes) @ rotation @ sheet
         middle = np.array([values[0], values[1], self.z_mm + values[2]])
         eye = (camera.camera_distance_mm * to_camera(pose) @ rotation - middle) @ sheet
         along = np.where(way[:, 2] * eye[2] < 0.0, -eye[2] / np.where(way[:, 2] == 0.0, np.nan, way[:, 2]), np.nan)

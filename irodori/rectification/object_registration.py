@@ -24,7 +24,7 @@ from irodori.core.progress import LOGGER, track
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.shape import Shape
-from irodori.rectification.contradicted_definitions import FREE_CAMERA_DEG, refuse_contradictions
+from irodori.rectification.contradicted_definitions import FREE_CAMERA_DEG, Otherwise, refuse_contradictions
 from irodori.rectification.inner_brightness import inner_surface, paint_contrast, painted
 from irodori.rectification.marker_sheet import (
     SHEET_QUANTITIES,
@@ -384,7 +384,8 @@ def _prepare(problem: Problem, number: int, reach: float, blur: float) -> None:
     placements = correction.placements(problem.shape, pose, problem.setup.table_radius_mm)
     tracer, placed = Tracer(placements), placements[0]
     view.search = _searched(view.picture, reach)
-    eye, axes = camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose)
+    eye = camera.camera_distance_mm * to_camera(pose)
+    axes = rig_from_camera(pose, camera.pinhole.quarter_turns)
     rim = find_rim(tracer, camera.pinhole, eye, axes, _window(problem, number, 0.0))
     skin, normal, facet = problem.skin[0], *(one @ placed.rotation.T for one in problem.skin[1:])
     nearest = skin.query(rim.point)[1]
@@ -486,20 +487,22 @@ def register_object(
     if isinstance(definition.shape, MeshShape):
         check_mesh_in_frame(definition.shape, shape.reach_mm, setup.pinhole.focal_px, setup.camera_distance_mm)
     typed, setup = setup, setup.laid(shape, definition.placements, number)
-    found, problem = _registered(linear, definition, setup, placing, markers, light)
 
     def with_free_camera() -> tuple[Registered, Problem]:
         return _registered(linear, definition, setup, placing, markers, camera_deg=FREE_CAMERA_DEG)
 
+    def with_roll(roll_deg: int) -> tuple[Registered, Problem]:
+        rolled = replace(setup, pinhole=replace(setup.pinhole, quarter_turns=roll_deg // 90))
+        return _registered(linear, definition, rolled, placing, markers)
+
+    found, problem = _registered(linear, definition, setup, placing, markers, light)
     if first is not None:
         before = _problem(first.linear, definition, typed, placing)
         found = _turned_from(first, before, found, problem, linear, placing)
-    used = problem.unknowns.copy()
     try:
-        refuse_contradictions(found, problem, linear, placing, with_free_camera)
+        refuse_contradictions(found, problem, linear, placing, Otherwise(with_free_camera, with_roll))
     except InputError as error:
         raise _in_placement(error, number) if definition.placements else error from None
-    problem.unknowns = used
     names = [Path(path).stem for path in linear]
     sentence = in_words(found)
     LOGGER.info("%s", sentence)

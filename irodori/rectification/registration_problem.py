@@ -225,7 +225,8 @@ class Problem:
     def _projected(self, points: np.ndarray, correction: Correction, pose: Pose) -> np.ndarray:
         """Return the projections of points of the rig, (n, 2) superpixels, by the corrected camera."""
         eye = correction.camera_distance_mm(self.setup.camera_distance_mm) * to_camera(pose)
-        return correction.pinhole(self.setup.pinhole).project(points, eye, rig_from_camera(pose))
+        axes = rig_from_camera(pose, self.setup.pinhole.quarter_turns)
+        return correction.pinhole(self.setup.pinhole).project(points, eye, axes)
 
     def corners_seen(self, view: int, values: np.ndarray) -> np.ndarray:
         """Return where a photograph shows the sheet's corners that were found in it, (n, 2) superpixels."""

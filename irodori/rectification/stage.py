@@ -388,7 +388,7 @@ def _sight(
         float(near),
         float(setup.lamp.distance_mm),
         setup.camera_distance_mm * to_camera(pose),
-        np.ascontiguousarray(rig_from_camera(pose), dtype=np.float64),
+        np.ascontiguousarray(rig_from_camera(pose, pinhole.quarter_turns), dtype=np.float64),
         np.array(pinhole.distortion, dtype=np.float64),
         float(pinhole.fold),
         float(pinhole.focal_px),

@@ -83,7 +83,8 @@ def _read(problem: "Problem", view: "View", level: Level, values: np.ndarray) ->
     position = lain.points(problem.texels.position)
     light, power, _ = camera.lamp.seen_from(position, pose)
     cosine = np.sum((problem.texels.normal @ lain.rotation.T) * light, axis=1)
-    xy = camera.pinhole.project(position, camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose))
+    axes = rig_from_camera(pose, camera.pinhole.quarter_turns)
+    xy = camera.pinhole.project(position, camera.camera_distance_mm * to_camera(pose), axes)
     return texel_values(view.picture, level, xy, np.where(cosine > 0.0, cosine * power, np.nan))
 
 

@@ -360,6 +360,20 @@ def test_the_camera_photographs_what_stands_there_and_not_what_it_is_asked_for(d
     assert forgotten.mean() < 0.5 * out.mean(), "the comb filter takes most of the light"
 
 
+def test_a_camera_mounted_upside_down_sees_the_picture_turned_by_half_a_turn(definitions, perfect):
+    camera, rig = perfect
+    rolled = {**camera, "optics": {**camera["optics"], "roll_deg": 180}}
+    # One grey response in all bands, and whole superpixels: the mosaic itself does not turn with the picture.
+    sample = Sample.from_definition(made(Object | PhotographedObject, uniform(definitions, "leaf-sphere")))
+    seen = [
+        object_mosaic(sample, made(Camera, one), made(Rig, rig), Pose(60.0, 20.0), STRAIGHT, np.full((3, 61), 1 / 61))
+        for one in (camera, rolled)
+    ]
+    upright, turned = (one.reshape(300, 2, 400, 2).mean(axis=(1, 3)) for one in seen)
+    assert np.abs(upright - np.rot90(upright, 2)).mean() > 0.1 * upright.mean()
+    assert np.abs(upright - np.rot90(turned, 2)).mean() < 0.002 * upright.mean()
+
+
 def test_the_room_has_windows_lamps_and_floor_where_they_should_be(definitions):
     room = definitions["environments"]["classroom"]["virtual"]
     source, shading = trace_room(made(VirtualRoom, room), 400, 200)

@@ -1,5 +1,7 @@
 """Pictures for registration that are made by hand: linear files of a drawn plate, and what takes fewer words."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from irodori.config.capture_table import Pose
@@ -49,14 +51,19 @@ PLATE = TexturedObject.of(
 )
 
 
-def drawn(folder, lies, shown=VIEWS, stated=VIEWS, size=(60.0, 50.0), contrast=1.0):
-    """Linear files of a matt plate with a smooth texture, its sides as sharp as superpixels show them."""
-    files = []
+def drawn(folder, lies, shown=VIEWS, stated=VIEWS, size=(60.0, 50.0), contrast=1.0, *, turns=0):
+    """Linear files of a matt plate with a smooth texture, its sides as sharp as superpixels show them.
+
+    What a camera shows that is mounted turned by quarter turns counter-clockwise is the picture of an upright one, with
+    the sensor's sides exchanged, turned clockwise.
+    """
+    files, (wide, high) = [], ((320, 240), (240, 320))[turns % 2]
+    upright = replace(SETUP, pinhole=replace(SMALL, centre_px=(wide / 2.0, high / 2.0), width_px=wide, height_px=high))
     for number, (pose, said) in enumerate(zip(shown, stated, strict=True)):
         real = lies.pose(pose)
         placed = lies.placements(Plate(*size), real, 0.0)[0]
-        way = SETUP.corrected(lies)
-        centres = np.stack(np.meshgrid(np.arange(1.0, 320.0, 2.0), np.arange(1.0, 240.0, 2.0)), axis=-1)
+        way = upright.corrected(lies)
+        centres = np.stack(np.meshgrid(np.arange(1.0, wide, 2.0), np.arange(1.0, high, 2.0)), axis=-1)
         rays = way.pinhole.directions(centres, rig_from_camera(real)) @ placed.rotation
         start = (way.camera_distance_mm * to_camera(real) - placed.translation_mm) @ placed.rotation
         at = (start + (-start[2] / rays[..., 2])[..., None] * rays)[..., :2]
@@ -68,5 +75,6 @@ def drawn(folder, lies, shown=VIEWS, stated=VIEWS, size=(60.0, 50.0), contrast=1
         texture = np.stack(waves, axis=-1) * [0.2, 0.25, 0.25]
         colour = [0.35, 0.4, 0.45] + contrast * texture
         cosine = (placed.rotation[:, 2] @ to_light(real)).item()
-        files.append(linear_file(folder / f"{number}.h5", on[..., None] * colour * cosine, pose=said.angles_deg))
+        seen = np.rot90(on[..., None] * colour * cosine, -turns)
+        files.append(linear_file(folder / f"{number}.h5", seen, pose=said.angles_deg))
     return files

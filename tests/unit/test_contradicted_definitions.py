@@ -146,6 +146,22 @@ def test_an_object_far_beside_its_place_is_named(tmp_path):
     assert 18.0 <= float(error.found.partition("the object about ")[2].split()[0]) <= 27.0
 
 
+@pytest.mark.default_cases(1)
+@pytest.mark.parametrize(
+    ("turns", "poses"), [(2, NOT_TURNED), (2, TURNED), (1, NOT_TURNED), (3, TURNED)],
+    ids=["upside down", "upside down, object turned", "on its left side", "on its right side, object turned"],
+)  # fmt: skip
+def test_a_camera_that_is_mounted_turned_is_named_and_then_measures_as_an_upright_one(tmp_path, poses, turns):
+    lies = correction(x_mm=1.0, z_mm=0.5)
+    error = refused(tmp_path, drawn(tmp_path, lies, poses, poses, turns=turns))
+    assert error.field == "optics.roll_deg" and f"if the camera is mounted turned by {90 * turns} deg" in error.found
+    rolled = replace(SETUP, pinhole=replace(SETUP.pinhole, quarter_turns=turns))
+    values, _ = registered(tmp_path, drawn(tmp_path, lies, poses, poses, turns=turns), setup=rolled)
+    upright, _ = registered(tmp_path, drawn(tmp_path, lies, poses, poses))
+    assert values["x_mm"] == pytest.approx(upright["x_mm"], abs=0.01)
+    assert values["z_mm"] == pytest.approx(upright["z_mm"], abs=0.01)
+
+
 def on_paper(folder, poses, side, bright) -> list:
     """Photographs of the plate on a larger, bright sheet of the same form, in the middle of the table."""
     plain, paper, files = folder / "plain", folder / "paper", []

@@ -100,7 +100,7 @@ def object_mosaic(
     view = RigView(
         pinhole=replace(pinhole, focal_px=pinhole.focal_px * (1.0 + longer)),
         position_mm=rig.camera_distance_mm * to_camera(pose),
-        world_from_camera=rig_from_camera(pose),
+        world_from_camera=rig_from_camera(pose, pinhole.quarter_turns),
         to_light=to_light(pose),
         lamp=Lamp.at(rig.light.distance_mm),
         lamp_radius_rad=math.radians(rig.virtual.light_angular_radius_deg),
@@ -291,7 +291,7 @@ def _patch_at(mosaic_xy, chart: Chart, camera: AnyCamera, rig: Rig, pose: Pose, 
     """Return the index of the patch at each point of the picture; between patches, the number of patches."""
     rows, columns = chart.rows, chart.columns
     rotation = rig_from_object(pose)
-    view = pinhole.directions(mosaic_xy, rig_from_camera(pose)) @ rotation
+    view = pinhole.directions(mosaic_xy, rig_from_camera(pose, pinhole.quarter_turns)) @ rotation
     eye = rig.camera_distance_mm * to_camera(pose) @ rotation
     point = eye - view * (eye[2] / view[..., 2:])
     assert camera.virtual is not None  # checked: on a virtual rig the camera is virtual
