@@ -1,7 +1,7 @@
 """Reading of ``lens.yaml``, which `irodori.lens.stage` writes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from irodori.config.models import Optics
@@ -34,7 +34,7 @@ class LensFile:
 
 
 def optics_in_use(typed: Optics, files: Sequence) -> Optics:
-    """Return the measured optics of a camera if there is a file of its lens, and otherwise the typed ones.
+    """Return the measured optics of a camera, mounted as typed; the typed ones if there is no file of its lens.
 
     Parameters
     ----------
@@ -42,4 +42,5 @@ def optics_in_use(typed: Optics, files: Sequence) -> Optics:
     files : sequence of path
         ``lens.yaml`` of the camera, or nothing.
     """
-    return next((LensFile.load(path).optics for path in files), typed)
+    # A sheet may be held in any way: it tells nothing of the roll.
+    return next((replace(LensFile.load(path).optics, roll_deg=typed.roll_deg) for path in files), typed)

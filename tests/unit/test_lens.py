@@ -1,5 +1,7 @@
 """A lens is measured from photographs of the printed sheet, and what cannot be told from them is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -179,6 +181,7 @@ def test_the_workflows_lens_is_measured_from_the_sheets_of_the_cameras_table_and
     assert optics_in_use(typed, []) == typed
     found = Pinhole.from_optics(optics_in_use(typed, [tmp_path / "lens.yaml"]))
     assert apart_px(TRUE, found) < 0.5
+    assert optics_in_use(replace(typed, roll_deg=180), [tmp_path / "lens.yaml"]).roll_deg == 180
     loaded = LensFile.load(tmp_path / "lens.yaml")
     # 1500 pixels of 5 um are 7.5 mm, and 7 mm were typed.
     assert abs(loaded.optics.focal_length_mm - 7.5) < 4.0 * loaded.focal_length_error_mm < 0.1
